@@ -9,6 +9,7 @@ from typing import Any
 import cvxpy as cp
 import numpy as np
 
+from lpv.core.support.config import Section
 from lpv.core.support.entries import entry, positive
 from lpv.core.support.limits import LARGEST
 from lpv.core.uio.certificate.conditions import (
@@ -47,6 +48,11 @@ class ControllerRequirement:
     torque_weight: float = positive(LARGEST)  # weight of torque, relative to gravity torque
     # lower end of the box of phi2 and phi3, method paper
     sinc_min: float = entry('number', default=-0.2, low=-0.3, high=0.99)
+
+    def check(self, section: Section) -> None:
+        """ConfigError if no pole is allowed."""
+        if not self.fastest > self.alpha:
+            raise section.error('fastest', 'must be greater than alpha')
 
 
 @lru_cache(maxsize=4)

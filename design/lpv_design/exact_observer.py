@@ -16,6 +16,7 @@ from typing import Any
 import cvxpy as cp
 import numpy as np
 
+from lpv.core.support.config import Section
 from lpv.core.support.entries import entry, positive
 from lpv.core.support.limits import LARGEST
 from lpv.core.uio.certificate.error_system import LinkError, exact_fault_sigma, link_errors
@@ -41,6 +42,11 @@ class ExactRequirement:
     velocity_weight: float = entry('number', default=0.02, above=0.0, high=LARGEST)
     # largest H-infinity norm from an unknown torque to the angle error [rad/(N m)]
     torque_gain: float = entry('number', default=LARGEST, above=0.0, high=LARGEST)
+
+    def check(self, section: Section) -> None:
+        """ConfigError if no pole is allowed."""
+        if not self.fastest > self.decay:
+            raise section.error('fastest', 'must be greater than decay')
 
 
 @lru_cache(maxsize=16)

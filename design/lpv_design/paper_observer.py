@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import cvxpy as cp
 import numpy as np
 
+from lpv.core.support.config import Section
 from lpv.core.support.entries import entry
 from lpv.core.support.limits import LARGEST
 from lpv.core.uio.certificate.conditions import observer_margin
@@ -29,6 +30,11 @@ class PaperRequirement:
     gamma: float = entry('number', default=1.0, above=0.0, high=LARGEST)  # attenuation level
     q: float = entry('number', default=20.0, above=0.0, high=LARGEST)  # disc [1/s]
     r: float = entry('number', default=15.0, above=0.0, high=LARGEST)  # disc [1/s]
+
+    def check(self, section: Section) -> None:
+        """ConfigError for a disc that reaches unstable poles."""
+        if not self.r < self.q:
+            raise section.error('r', 'must be below q, or the disc reaches unstable poles')
 
 
 def design_paper(arm: ArmParameters, wanted: PaperRequirement) -> tuple[PaperObserverGains, str]:

@@ -86,7 +86,9 @@ class Kind:
             self.parse(changed(self.good, field, value), 'some.yaml')
         error = caught.value
         assert isinstance(error, LpvError) and isinstance(error, ValueError)
-        assert str(error).startswith(f'some.yaml: {error.field}: ') and len(str(error)) < 1000
+        several = rf'{len(error.texts)} fields are wrong: \(1\) ' if error.texts[1:] else ''
+        assert re.match(rf'some.yaml: {several}{re.escape(error.field)}: ', str(error))
+        assert len(str(error)) < 1000
         return error
 
 

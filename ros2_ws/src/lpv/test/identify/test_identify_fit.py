@@ -72,7 +72,7 @@ def test_given_a_result_when_written_as_a_page_then_it_has_the_tables_of_the_ter
 
 def test_given_links_or_friction_when_checked_or_rescaled_then_torques_are_as_they_can_be(arm):
     assert all(is_physical(joint.link) for joint in arm.joints)
-    assert not is_physical(LinkInertia(1.0, (1.0, 0.0, 0.0)))
+    assert not is_physical(LinkInertia(1.0, (1.0, 0.0, 0.0), (0.0,) * 6))
     assert JointFriction(viscous=-0.4, coulomb=1.0).is_dissipative(2.0)
     assert not JointFriction(viscous=-0.6, coulomb=1.0).is_dissipative(2.0)
     motion = np.random.default_rng(5).normal(size=(3, 20, 3))
@@ -99,7 +99,10 @@ def test_given_friction_that_falls_too_far_when_fitted_then_the_arm_can_be_read(
     assert parse_arm(to_mapping(found)) == found
     # What nobody could read is not written.
     out = tmp_path / 'arm.yaml'
-    with pytest.raises(ConfigError, match=r'arm.yaml is not written: joints\[0\].friction'):
+    with pytest.raises(
+        ConfigError,
+        match=r'arm.yaml is not written: 3 fields are wrong: \(1\) joints\[0\].friction',
+    ):
         save_arm(slow, out)
     assert not out.exists()
 

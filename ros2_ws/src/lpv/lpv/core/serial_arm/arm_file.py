@@ -11,6 +11,7 @@ import yaml
 
 from lpv.core.serial_arm.chain import MAX_JOINTS
 from lpv.core.serial_arm.description import (
+    INERTIA_KEYS,
     JOINT_TYPES,
     JointLimits,
     JointSensors,
@@ -18,20 +19,19 @@ from lpv.core.serial_arm.description import (
     ParameterCovariance,
     SerialArm,
     SerialJoint,
-    TorqueTolerance,
     Uncertainty,
 )
 from lpv.core.serial_arm.old_arm_file import parse_two_links
 from lpv.core.serial_arm.urdf_chain import read_urdf_chain
-from lpv.core.support.config import Section, names_all_errors, read_yaml, write_whole
+from lpv.core.support.config import Section, read_yaml, write_whole
 from lpv.core.support.entries import plain_entries, read_entries
+from lpv.core.support.errors import ConfigError, each, kept, raise_all
 from lpv.core.support.limits import FAR
 
 _OLD_FORM = (
     '{} is of the form of two-link arms that the next version does not read; write it anew: '
     'python -m lpv.core.serial_arm.arm_file OLD.yaml NEW.yaml'
 )
-INERTIA_KEYS = ('xx', 'xy', 'yy', 'xz', 'yz', 'zz')
 _SMALLEST_DETERMINANT = 1e-6
 """Of a matrix of sensors that tell the joints' positions; smaller ones count as singular."""
 _HEADER = '# docs/arm-file.md describes the fields.\n'
@@ -87,32 +87,31 @@ def parse_arm(data: dict[str, Any], source: str = 'arm', folder: str | Path = '.
     return _parse(data, source, folder)
 
 
-@names_all_errors
 def _parse(data: dict[str, Any], source: str, folder: str | Path) -> SerialArm:
     top = Section(data, source)
+    errors: list[ConfigError] = []
+    joints: tuple[SerialJoint, ...] = ()
     urdf = top.text('urdf') if 'urdf' in top else ''
     held, locked = top.plain('locked'), top.section('locked', required=False)
     angles = {str(name): locked.number(name, None, -1e3, 1e3) for name in sorted(held)}
-    joints = _joints(top, urdf, Path(folder), angles)
-    n, varying = len(joints), top.section('uncertainty', required=False)
-    errors = {
-        key: varying.vector(key, n, low=0.0, high=1e9)
-        for key in ('torque_error', 'torque_error_speed')
-        if key in varying
-    }
-    if 'lpv' in top and n != 2:
+    with kept(errors):
+        joints = _joints(top, urdf, Path(folder), angles)
+    n = len(joints)
+    with kept(errors):
+        arm = read_entries(
+            SerialArm,
+            top,
+            name=lambda: top.text('name'),
+            joints=joints,
+            urdf=urdf,
+            locked=tuple(angles.items()),
+            uncertainty=lambda: _uncertainty(top, n),
+            sensor_matrix=lambda: _sensor_matrix(top, n),
+            covariance=lambda: _covariance(top, 15 * n),
+        )
+    raise_all(errors)
+    if arm.lpv is not None and n != 2:
         raise top.error('lpv', f'is for planar arms of two joints, this one has {n}')
-    arm = read_entries(
-        SerialArm,
-        top,
-        name=top.text('name'),
-        joints=joints,
-        urdf=urdf,
-        locked=tuple(angles.items()),
-        uncertainty=read_entries(Uncertainty, varying, **errors),
-        sensor_matrix=_sensor_matrix(top, n),
-        covariance=_covariance(top, 15 * n),
-    )
     for names, field in ((arm.joint_names, 'joints'), (arm.sensor_names, 'sensors')):
         if len(set(names)) < len(names):
             raise top.error(field, 'use a name twice')
@@ -126,8 +125,18 @@ def _parse(data: dict[str, Any], source: str, folder: str | Path) -> SerialArm:
     return arm
 
 
+def _uncertainty(top: Section, n: int) -> Uncertainty:
+    varying = top.section('uncertainty', required=False)
+    errors: dict[str, Any] = {
+        key: varying.vector(key, n, low=0.0, high=1e9)
+        for key in ('torque_error', 'torque_error_speed')
+        if key in varying and n > 0
+    }
+    return read_entries(Uncertainty, varying, **errors)
+
+
 def _sensor_matrix(top: Section, n: int) -> tuple[tuple[float, ...], ...] | None:
-    if 'sensor_matrix' not in top:
+    if 'sensor_matrix' not in top or n == 0:
         return None
     rows = top.rows('sensor_matrix', n, n)
     if np.abs(rows).max() > FAR:
@@ -197,7 +206,7 @@ def _joints(
     if len(sections) > MAX_JOINTS or not (sections or urdf):
         raise top.error('joints', f'must describe 1 to {MAX_JOINTS} joints, or urdf be given')
     if all('position' in s and 'link' in s for s in sections) and sections:
-        return tuple(_joint(section, None) for section in sections)
+        return each(lambda section: _joint(section, None), sections)
     if not urdf:
         raise top.error(
             'joints', 'must have position, orientation, axis and link each, or urdf be given'
@@ -210,24 +219,24 @@ def _joints(
         raise top.error(
             'joints', 'must be in the order of the URDF: ' + ', '.join(chain.joint_names)
         )
-    return tuple(_joint(section, base) for section, base in zip(sections, chain.joints))
+    return each(lambda one: _joint(*one), zip(sections, chain.joints))
 
 
 def _joint(section: Section, base: SerialJoint | None) -> SerialJoint:
     """A joint of the file; what it does not say comes from the URDF's joint ``base``."""
-    given: dict[str, Any] = {'name': section.text('name')}
+    given: dict[str, Any] = {'name': lambda: section.text('name')}
     # What places the frame comes from one source: a mix of both would fit neither.
     if base is None or any(key in section for key in ('position', 'orientation', 'axis')):
-        given['position'] = section.vector('position', 3, None, -FAR, FAR)
-        given['orientation'] = section.vector('orientation', 3, (0.0, 0.0, 0.0), -FAR, FAR)
-        given['axis'] = _axis(section)
+        given['position'] = lambda: section.vector('position', 3, None, -FAR, FAR)
+        given['orientation'] = lambda: section.vector('orientation', 3, (0.0, 0.0, 0.0), -FAR, FAR)
+        given['axis'] = lambda: _axis(section)
     if base is None or 'link' in section:
-        given['link'] = _link(section)
-    given['limits'] = _limits(section, None if base is None else base.limits)
-    given['torque_tolerance'] = _tolerance(section)
-    sensors = section.section('sensors', required=False)
-    name = sensors.text('name', f'{given["name"]}_encoder')
-    given['sensors'] = read_entries(JointSensors, sensors, name=name)
+        given['link'] = lambda: read_entries(LinkInertia, section.section('link'))
+    limits = None if base is None else base.limits
+    given['limits'] = lambda: read_entries(
+        JointLimits, section.section('limits', required=False), limits
+    )
+    given['sensors'] = lambda: _sensors(section)
     joint = read_entries(SerialJoint, section, base, **given)
     if base is not None and joint.type != base.type:
         raise section.error('type', f'is {base.type} in the URDF')
@@ -249,46 +258,18 @@ def _axis(section: Section) -> tuple[float, float, float]:
     return (x, y, z) if abs(length - 1.0) < 1e-12 else (x / length, y / length, z / length)
 
 
-def _link(section: Section) -> LinkInertia:
-    link = section.section('link')
-    inertia = link.section('inertia')
-    entries = [inertia.number(key, None, -1e7, 1e7) for key in INERTIA_KEYS]
-    inertia.finish()
-    moment = link.vector('first_moment', 3, None, -1e6, 1e6)
-    result = read_entries(LinkInertia, link, first_moment=moment, inertia=entries)
-    if np.diag(result.rotational_inertia()).min() < 0.0:
-        raise link.error('inertia', 'must not have a negative moment')
-    return result
-
-
-def _limits(section: Section, base: JointLimits | None) -> JointLimits:
-    limits = section.section('limits', required=False)
-    result = read_entries(JointLimits, limits, base)
-    low, high = result.lower, result.upper
-    if not low < high and 'upper' in limits:
-        raise limits.error('upper', f'must be above {low}, the lower limit, got {high}')
-    if not low < high:
-        raise limits.error('lower', f'must be below {high}, the upper limit, got {low}')
-    return result
-
-
-def _tolerance(section: Section) -> TorqueTolerance:
-    if 'torque_tolerance' not in section:
-        return TorqueTolerance()
-    part = section.section('torque_tolerance')
-    speed = part.numbers('speed', 64, 0.0, 1e4)
-    if any(b <= a for a, b in zip(speed, speed[1:])):
-        raise part.error('speed', 'must increase')
-    torque = part.vector('torque', len(speed), None, 0.0, 1e9)
-    return read_entries(TorqueTolerance, part, speed=speed, torque=torque)
+def _sensors(section: Section) -> JointSensors:
+    sensors = section.section('sensors', required=False)
+    name = sensors.text('name', f'{section.text("name")}_encoder')
+    return read_entries(JointSensors, sensors, name=name)
 
 
 def _covariance(top: Section, size: int) -> ParameterCovariance | None:
-    if 'covariance' not in top:
+    if 'covariance' not in top or size == 0:
         return None
     part = top.section('covariance')
-    factor = tuple(tuple(row) for row in part.rows('factor', size, size))
-    return read_entries(ParameterCovariance, part, factor=factor)
+    rows = part.rows('factor', size, size)
+    return read_entries(ParameterCovariance, part, factor=tuple(map(tuple, rows)))
 
 
 if __name__ == '__main__':

@@ -8,10 +8,12 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
-from lpv.core.support.config import sha256_of
+from lpv.core.support.config import Section, sha256_of
 from lpv.core.support.entries import entry, part
 from lpv.core.support.limits import FAR, LARGEST
 
+INERTIA_KEYS = ('xx', 'xy', 'yy', 'xz', 'yz', 'zz')
+"""Names of a link's moments and products of inertia in files."""
 N_INERTIAL = 10
 """Inertial parameters of a link: mass, 3 first moments, 6 entries of its inertia."""
 
@@ -38,10 +40,17 @@ class LinkInertia:
 
     mass: float = entry('number', low=0.0, high=1e5)  # m [kg]
     # m times the centre of mass, (x, y, z) [kg m]
-    first_moment: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    first_moment: tuple[float, float, float] = entry('vector', 3, low=-1e6, high=1e6)
     # (Ixx, Ixy, Iyy, Ixz, Iyz, Izz) about the joint frame's origin [kg m2], the order that
     # Pinocchio uses
-    inertia: tuple[float, float, float, float, float, float] = (0.0,) * 6
+    inertia: tuple[float, float, float, float, float, float] = entry(
+        'mapping', INERTIA_KEYS, low=-1e7, high=1e7
+    )
+
+    def check(self, section: Section) -> None:
+        """ConfigError for a link that no body is."""
+        if np.diag(self.rotational_inertia()).min() < 0.0:
+            raise section.error('inertia', 'must not have a negative moment')
 
     def to_vector(self) -> np.ndarray:
         """Standard inertial parameters, shape (10,): mass, first moments, inertia."""
@@ -130,6 +139,14 @@ class JointLimits:
     velocity: float = entry('number', default=100.0, above=0.0, high=1e4)  # [rad/s]
     torque: float = entry('number', default=1e9, above=0.0, high=1e9)  # [N m]
 
+    def check(self, section: Section) -> None:
+        """ConfigError where there is no room between the limits."""
+        low, high = self.lower, self.upper
+        if not low < high and 'upper' in section:
+            raise section.error('upper', f'must be above {low}, the lower limit, got {high}')
+        if not low < high:
+            raise section.error('lower', f'must be below {high}, the upper limit, got {low}')
+
 
 @dataclass(frozen=True)
 class TorqueTolerance:
@@ -138,8 +155,17 @@ class TorqueTolerance:
     Piecewise linear over abs(v), constant beyond both ends.
     """
 
-    speed: tuple[float, ...] = (0.0,)  # increasing [rad/s]
-    torque: tuple[float, ...] = (0.0,)  # [N m]
+    # increasing [rad/s]
+    speed: tuple[float, ...] = entry('numbers', 64, 0.0, 1e4, default=(0.0,))
+    torque: tuple[float, ...] = entry('numbers', 64, 0.0, 1e9, default=(0.0,))  # [N m]
+
+    def check(self, section: Section) -> None:
+        """ConfigError where it is no function."""
+        if any(b <= a for a, b in zip(self.speed, self.speed[1:])):
+            raise section.error('speed', 'must increase')
+        if len(self.torque) != len(self.speed):
+            wanted, given = len(self.speed), len(self.torque)
+            raise section.error('torque', f'must have {wanted} numbers, got {given}')
 
 
 @dataclass(frozen=True)
@@ -193,7 +219,7 @@ class SerialJoint:
     # of reported efforts behind the motion [s]
     effort_delay: float = entry('number', default=0.0, low=-1.0, high=1.0)
     limits: JointLimits = JointLimits()
-    torque_tolerance: TorqueTolerance = TorqueTolerance()
+    torque_tolerance: TorqueTolerance = part(TorqueTolerance, default=TorqueTolerance())
     sensors: JointSensors = JointSensors('encoder')
     type: str = entry('text', default='revolute', choices=JOINT_TYPES)
 

@@ -5,8 +5,9 @@ from typing import Any
 
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.serial_arm.two_links import Link, TwoLinks, two_link_arm
-from lpv.core.support.config import Section, names_all_errors
+from lpv.core.support.config import Section
 from lpv.core.support.entries import entry, read_entries
+from lpv.core.support.errors import each
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -18,7 +19,6 @@ class _File(TwoLinks):
     slope: float = entry('number', default=100.0, above=0.0, high=1e6, at='friction.coulomb_slope')
 
 
-@names_all_errors
 def parse_two_links(data: dict[str, Any], source: str = 'arm') -> SerialArm:
     """Build an arm from the mapping of an arm file of the form before there was one kind of arm.
 
@@ -40,7 +40,7 @@ def parse_two_links(data: dict[str, Any], source: str = 'arm') -> SerialArm:
         If a field is missing, unknown, of the wrong type or out of range; it names the field.
     """
     top = Section(data, source)
-    file = read_entries(_File, top, links=_links(top))
+    file = read_entries(_File, top, links=lambda: _links(top))
     # Rotor 2 is carried by link 1: R = Ir*[[gr^2+1, -gr], [-gr, gr^2]].
     inertia, ratio = file.rotor_inertia, file.gear_ratio
     rotor = inertia * (ratio**2 + 1.0), -inertia * ratio, inertia * ratio**2
@@ -59,7 +59,7 @@ def _links(top: Section) -> tuple[Link, ...]:
     if len(sections) != 2:
         raise top.error('links', f'must describe exactly two links, got {len(sections)}')
     about = top.text('inertia_reference', 'center_of_mass', ('center_of_mass', 'joint'))
-    links = tuple(read_entries(Link, section) for section in sections)
+    links = each(lambda section: read_entries(Link, section), sections)
     if about == 'joint':
         return links
     return tuple(

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from lpv.core.serial_arm.chain import MAX_JOINTS
-from lpv.core.support.entries import entry
+from lpv.core.support.config import Section
+from lpv.core.support.entries import entry, read_entries
 from lpv.core.support.errors import ConfigError
 from lpv.core.support.jit import njit
-from lpv.core.support.limits import LARGEST
 from lpv.core.support.records import record_type
 
 KINDS = ('bias', 'drift', 'scale', 'stuck', 'noise', 'spike', 'dropout', 'rate_bias')
@@ -26,6 +26,8 @@ _RANDOM = ('noise', 'spike')
 _NEEDED = {'drift': 'rate', 'stuck': '', 'dropout': ''}
 """Field of `Fault` that must not be zero, by kind; of others ``size``."""
 
+_POSITIVE = {'noise': 'size', 'spike': 'rate'}
+"""That which must not be negative."""
 MAX_FAULTS = len(KINDS) * MAX_JOINTS
 """Most faults at a time: every kind on every sensor."""
 
@@ -59,6 +61,15 @@ class Fault:
     duration: float = entry('number', default=0.0, low=0.0, high=1e6)
     size: float = entry('number', default=0.0, low=-1e3, high=1e3)  # see kind
     rate: float = entry('number', default=0.0, low=-1e3, high=1e3)  # see kind
+
+    def check(self, section: Section) -> None:
+        """ConfigError for a fault that does nothing, or less than that."""
+        positive = _POSITIVE.get(self.kind, '')
+        if positive and getattr(self, positive) < 0.0:
+            raise section.error(positive, 'must not be negative')
+        needed = _NEEDED.get(self.kind, 'size')
+        if needed and getattr(self, needed) == 0.0:
+            raise section.error(needed, f'must not be 0 for a {self.kind} fault')
 
     @property
     def end(self) -> float:
@@ -166,23 +177,7 @@ def _check_sensor(name: str, known: Sequence[str]) -> None:
 def check_fault(fault: Fault, sensor_names: Sequence[str]) -> None:
     """Refuse a fault that the simulator cannot apply: ConfigError naming the field."""
     _check_sensor(fault.sensor, sensor_names)
-    if fault.kind not in KINDS:
-        raise ConfigError(
-            'fault.kind', f'{reprlib.repr(fault.kind)} must be one of {", ".join(KINDS)}'
-        )
-    for name in ('onset', 'duration', 'size', 'rate'):
-        value = getattr(fault, name)
-        if not abs(value) <= LARGEST:
-            raise ConfigError(
-                f'fault.{name}', f'must be at most {LARGEST:g} in magnitude, got {value}'
-            )
-    not_negative = {'noise': ('duration', 'size'), 'spike': ('duration', 'rate')}
-    for name in not_negative.get(fault.kind, ('duration',)):
-        if getattr(fault, name) < 0.0:
-            raise ConfigError(f'fault.{name}', 'must not be negative')
-    needed = _NEEDED.get(fault.kind, 'size')
-    if needed and getattr(fault, needed) == 0.0:
-        raise ConfigError(f'fault.{needed}', f'must not be 0 for a {fault.kind} fault')
+    read_entries(Fault, Section(vars(fault), '', 'fault'))
 
 
 def _records(rows: np.ndarray) -> np.ndarray:

@@ -13,9 +13,9 @@ from lpv.core.serial_arm.chain import MAX_JOINTS, Chain, body_parameters, compil
 from lpv.core.serial_arm.description import LinkInertia, SerialArm, SerialJoint
 from lpv.core.serial_arm.dynamics.payload import with_payload
 from lpv.core.simulation.faults import Fault
-from lpv.core.support.config import Section, names_all_errors, read_yaml
+from lpv.core.support.config import Section, read_yaml
 from lpv.core.support.entries import entry, read_entries
-from lpv.core.support.errors import ConfigError
+from lpv.core.support.errors import ConfigError, each, kept, raise_all
 from lpv.core.support.limits import FAR, MOST_ENTRIES
 
 PAPER_PLANTS = ('nonlinear_without_coriolis', 'lpv')
@@ -153,21 +153,26 @@ def load_scenario(path: str | Path) -> Scenario:
     return parse_scenario(read_yaml(path), str(Path(path)))
 
 
-@names_all_errors
 def parse_scenario(data: dict[str, Any], source: str = 'scenario') -> Scenario:
     """Build a scenario from the mapping of a scenario file, as `load_scenario`."""
     top = Section(_expanded(data), source)
-    times, waypoints = _waypoints(top.section('path'))
-    return read_entries(
-        Scenario,
-        top,
-        name=top.text('name'),
-        duration=top.number('duration', above=0.0, high=1e6),
-        seed=top.integer('seed', 1, low=0),
-        times=times,
-        waypoints=waypoints,
-        faults=parse_faults(top),
-    )
+    errors: list[ConfigError] = []
+    path: tuple[Any, Any] = (), ()
+    with kept(errors):
+        path = _waypoints(top.section('path'))
+    with kept(errors):
+        scenario = read_entries(
+            Scenario,
+            top,
+            name=lambda: top.text('name'),
+            duration=lambda: top.number('duration', above=0.0, high=1e6),
+            seed=lambda: top.integer('seed', 1, low=0),
+            times=path[0],
+            waypoints=path[1],
+            faults=lambda: parse_faults(top),
+        )
+    raise_all(errors)
+    return scenario
 
 
 def _expanded(data: Any) -> Any:
@@ -182,37 +187,34 @@ def _waypoints(path: Section) -> tuple[tuple[float, ...], Waypoints]:
     sections = path.sections('waypoints')
     if not 2 <= len(sections) <= MOST_ENTRIES:
         raise path.error('waypoints', f'must be 2 to {MOST_ENTRIES}')
-    times = tuple(point.number('t', low=0.0, high=1e6) for point in sections)
+    times = each(lambda point: point.number('t', low=0.0, high=1e6), sections)
     if any(b <= a for a, b in zip(times, times[1:])):
         raise path.error('waypoints', 'times must increase')
     kinds = [key for key in ('joints', 'position', 'x') if key in sections[0]]
     if len(kinds) != 1:
         raise sections[0].error('joints', 'or position, or x and y, must be given, one of them')
     waypoints: Waypoints
+    limits = None, -FAR, FAR
     if kinds == ['x']:
-        limits = None, -FAR, FAR
-        points = tuple((p.number('x', *limits), p.number('y', *limits)) for p in sections)
+        points = each(lambda p: (p.number('x', *limits), p.number('y', *limits)), sections)
         waypoints = read_entries(PlanarWaypoints, path, points=points)
     elif kinds == ['joints']:
-        waypoints = tuple(
-            tuple(point.numbers('joints', MAX_JOINTS, -FAR, FAR)) for point in sections
-        )
+        waypoints = each(lambda p: tuple(p.numbers('joints', MAX_JOINTS, *limits[1:])), sections)
     else:
         waypoints = PoseWaypoints(
-            tuple(tuple(point.vector('position', 3, None, -FAR, FAR)) for point in sections),
-            tuple(path.numbers('start', MAX_JOINTS, -FAR, FAR)),
-            tuple(tuple(p.vector('rpy', 3, None, -FAR, FAR)) for p in sections if 'rpy' in p),
+            each(lambda p: tuple(p.vector('position', 3, *limits)), sections),
+            tuple(path.numbers('start', MAX_JOINTS, *limits[1:])),
+            tuple(tuple(p.vector('rpy', 3, *limits)) for p in sections if 'rpy' in p),
         )
         if 0 < len(waypoints.orientations) < len(sections):
             raise path.error('waypoints', 'must have rpy all, or none of them')
-    for section in (*sections, path):
-        section.finish()
+    each(Section.finish, (*sections, path))
     return times, waypoints
 
 
 def parse_faults(top: Section) -> tuple[Fault, ...]:
     """Read the list ``faults``, which may be missing; ConfigError naming the offending field."""
-    return tuple(read_entries(Fault, section) for section in top.sections('faults', []))
+    return each(lambda section: read_entries(Fault, section), top.sections('faults', []))
 
 
 def disturbance_of(arm: SerialArm, scenario: Scenario) -> tuple[np.ndarray, float, float]:

@@ -1,15 +1,13 @@
 """Reading of YAML files: safe loader, bounded size, errors that name the field."""
 
-import functools
 import hashlib
 import math
 import os
 import re
 import reprlib
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextvars import ContextVar
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 import yaml
@@ -188,81 +186,6 @@ def _canonical(data: object) -> str:
     return float(data).hex()
 
 
-_Function = TypeVar('_Function', bound=Callable[..., Any])
-_found: ContextVar[list[ConfigError] | None] = ContextVar('found', default=None)
-"""Errors of the fields that were read, while all of them are collected."""
-_LONGEST = 1600
-"""Most characters of the text that names all wrong fields: 20 lines of a terminal."""
-
-
-def names_all_errors(parse: _Function) -> _Function:
-    """Make a parser of a file's mapping name every field that is wrong, not only the first one.
-
-    ``parse`` reads by a `Section`.  The ConfigError has field and reason of the first error, and
-    the text of all.
-    """
-
-    @functools.wraps(parse)
-    def parse_all(*arguments: Any, **options: Any) -> Any:
-        try:
-            return parse(*arguments, **options)
-        except ConfigError as first:
-            if _found.get() is not None:
-                raise
-            token = _found.set([])
-            try:
-                parse(*arguments, **options)
-            except Exception:  # noqa: S110 - what follows from a stand-in says nothing of the file
-                pass
-            finally:
-                others = _found.get() or []
-                _found.reset(token)
-            raise _joined(first, others) from None
-
-    return parse_all  # type: ignore[return-value]
-
-
-def _joined(first: ConfigError, others: Sequence[ConfigError]) -> ConfigError:
-    """The first error, with the text of all in one line."""
-    texts = list(dict.fromkeys(f'{error.field}: {error.reason}' for error in (first, *others)))
-    if len(texts) == 1:
-        return first
-    where = f'{first.source}: ' if first.source else ''
-    said = '; '.join(f'({i}) {text}' for i, text in enumerate(texts, start=1))
-    if len(said) > _LONGEST:
-        said = said[:_LONGEST] + ' ...'
-    first.args = (f'{where}{len(texts)} fields are wrong: {said}',)
-    return first
-
-
-def _or(stand_in: Callable[..., Any]) -> Callable[[_Function], _Function]:
-    """Make a method of `Section` note its error and go on with a value, where all are collected."""
-
-    def decorate(method: _Function) -> _Function:
-        @functools.wraps(method)
-        def read(self: 'Section', *arguments: Any, **options: Any) -> Any:
-            try:
-                return method(self, *arguments, **options)
-            except ConfigError as error:
-                found = _found.get()
-                if found is None:
-                    raise
-                if not self._missing:
-                    found.append(error)
-                return stand_in(self, *arguments, **options)
-
-        return read  # type: ignore[return-value]
-
-    return decorate
-
-
-def _inside(
-    low: float = -math.inf, high: float = math.inf, above: float | None = None, **_: Any
-) -> float:
-    """A number that is allowed."""
-    return max(low, min(high, 1.0 if above is None or above < 1.0 else above + 1.0))
-
-
 class Section:
     """A mapping that is read field by field, so that every error names its field.
 
@@ -277,7 +200,6 @@ class Section:
         self._source = source
         self._prefix = prefix
         self._seen: set[str] = set()
-        self._missing = False  # whether it stands for a section that is not there
 
     def _name(self, key: str) -> str:
         return f'{self._prefix}.{key}' if self._prefix else key
@@ -285,11 +207,6 @@ class Section:
     def error(self, key: str, reason: str) -> ConfigError:
         """Return the ConfigError for ``key`` (to be raised by the caller)."""
         return ConfigError(self._name(key), reason, self._source)
-
-    def _absent(self, key: str) -> 'Section':
-        result = Section({}, self._source, self._name(key))
-        result._missing = True
-        return result
 
     def __contains__(self, key: str) -> bool:
         self._seen.add(key)  # what is asked for is a known field, whether the file has it or not
@@ -302,12 +219,10 @@ class Section:
             raise self.error(key, 'is missing')
         return self._data.get(key, default)
 
-    @_or(lambda self, key, *_, **__: self._absent(key))
     def section(self, key: str, required: bool = True) -> 'Section':
         """Return the mapping below ``key`` (an empty one if absent and not required)."""
         return Section(self._get(key, None if required else {}), self._source, self._name(key))
 
-    @_or(lambda *_, **__: [])
     def sections(self, key: str, default: list[Any] | None = None) -> 'list[Section]':
         """Return the list of mappings below ``key``."""
         items = self._get(key, default)
@@ -317,7 +232,6 @@ class Section:
             Section(item, self._source, f'{self._name(key)}[{i}]') for i, item in enumerate(items)
         ]
 
-    @_or(lambda self, key, default=None, choices=None: next(iter(choices or ['text'])))
     def text(
         self, key: str, default: str | None = None, choices: Iterable[str] | None = None
     ) -> str:
@@ -329,7 +243,6 @@ class Section:
             raise self.error(key, f'must be one of {", ".join(choices)}; got {_short(value)}')
         return value
 
-    @_or(lambda *_, **__: False)
     def flag(self, key: str, default: bool | None = None) -> bool:
         """Return a boolean."""
         value = self._get(key, default)
@@ -337,7 +250,6 @@ class Section:
             raise self.error(key, f'must be true or false, got {_short(value)}')
         return value
 
-    @_or(lambda self, key, default=None, low=None: low or 0)
     def integer(self, key: str, default: int | None = None, low: int | None = None) -> int:
         """Return an integer, not below ``low``."""
         value = self._get(key, default)
@@ -347,7 +259,6 @@ class Section:
             raise self.error(key, f'must be at least {low}, got {value}')
         return value
 
-    @_or(lambda self, key, default=None, *a, **k: _inside(*a, **k))
     def number(
         self, key: str, default: float | None = None, *limits: float, **others: float
     ) -> float:
@@ -382,7 +293,6 @@ class Section:
     def _numbers(self, key: str, values: Any, *limits: float, **others: float) -> list[float]:
         return [self._number(f'{key}[{i}]', v, *limits, **others) for i, v in enumerate(values)]
 
-    @_or(lambda self, key, size, default=None, *a, **k: [_inside(*a, **k)] * size)
     def vector(
         self, key: str, size: int, default: Any = None, *limits: float, **others: float
     ) -> list[float]:
@@ -394,7 +304,15 @@ class Section:
             raise self.error(key, f'must have {size} numbers, got {len(value)}')
         return self._numbers(key, value, *limits, **others)
 
-    @_or(lambda self, key, most, *a, **k: [_inside(*a, **k)])
+    def mapping(
+        self, key: str, names: Sequence[str], *limits: float, **others: float
+    ) -> list[float]:
+        """Return the floats, as of `number`, of a mapping with these names."""
+        inside = self.section(key)
+        values = [inside.number(name, None, *limits, **others) for name in names]
+        inside.finish()
+        return values
+
     def numbers(self, key: str, most: int, *limits: float, **others: float) -> list[float]:
         """Return 1 to ``most`` floats as of `number`."""
         value = self._get(key)
@@ -402,7 +320,6 @@ class Section:
             raise self.error(key, f'must be a list of 1 to {most} numbers')
         return self._numbers(key, value, *limits, **others)
 
-    @_or(lambda self, key, width, most: [[1.0] * width])
     def rows(self, key: str, width: int, most: int) -> list[list[float]]:
         """Return 1 to ``most`` lists of ``width`` finite floats each."""
         value = self._get(key)
@@ -413,7 +330,6 @@ class Section:
         ]
         return [row.vector(f'{key}[{i}]', width) for i, row in enumerate(rows)]
 
-    @_or(lambda self, key, shape, *a, **k: np.full(np.abs(shape), _inside(*a, **k)))
     def matrix(
         self, key: str, shape: tuple[int, ...], *limits: float, **others: float
     ) -> np.ndarray:
@@ -429,7 +345,6 @@ class Section:
             raise self.error(key, f'must be a flat list of {size} numbers for shape {shape}')
         return np.array(self._numbers(key, value, *limits, **others)).reshape(shape)
 
-    @_or(lambda self, key, size=None, default=None: tuple(f'name{i}' for i in range(size or 1)))
     def names(self, key: str, size: int | None = None, default: Any = None) -> tuple[str, ...]:
         """Return distinct non-empty strings, ``size`` of them or at least one."""
         value = self._get(key, default)
@@ -449,7 +364,6 @@ class Section:
         is_given = key in self and self._data[key] is not None  # its lines may be commented out
         return dict(self.section(key)._data) if is_given else {}
 
-    @_or(lambda *_: None)
     def finish(self) -> None:
         """Refuse fields that nobody read: a typing error must not pass in silence."""
         unknown = sorted(set(self._data) - self._seen, key=str)

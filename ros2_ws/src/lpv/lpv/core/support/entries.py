@@ -7,6 +7,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from lpv.core.support.config import Section
+from lpv.core.support.errors import ConfigError, kept, raise_all
 
 _Kind = TypeVar('_Kind')
 _NOTHING = (None, '', (), math.inf, -math.inf)
@@ -34,7 +35,8 @@ def positive(high: float = np.inf) -> Any:
 
 
 def part(kind: Any, default: Any = MISSING) -> Any:
-    """A field that is a section of its own, of another dataclass."""
+    """A field that is a section of its own, of another dataclass, or that which a function of the
+    section says."""
     return field(default=default, metadata={'part': kind})
 
 
@@ -49,27 +51,46 @@ def read_entries(
 ) -> _Kind:
     """What a section says, without the fields that are given; ``base`` has what it does not say.
 
-    ConfigError if anything is missing, unknown, of the wrong size or out of range.
+    Functions among what is given are called for their field.  One ConfigError names all fields that
+    are missing, unknown, of the wrong size or out of range, or what the dataclass's own ``check``
+    finds in the section then.
     """
     places = {'': section}
+    errors: list[ConfigError] = []
     for one in fields(kind):  # type: ignore[arg-type]
-        inner, key = _place(one)
-        if one.name in given:
-            continue
-        optional = base is not None or one.default is not MISSING
-        if inner not in places:
-            places[inner] = section.section(inner, required=not optional)
-        if not one.metadata or (optional and key not in places[inner]):
-            if base is not None:
-                given[one.name] = getattr(base, one.name)
-        elif 'part' in one.metadata:
-            given[one.name] = read_entries(one.metadata['part'], places[inner].section(key))
-        else:
-            how, details, limits = one.metadata['entry']
-            given[one.name] = getattr(places[inner], how)(key, *details, **limits)
+        with kept(errors):
+            if one.name not in given:
+                _read_entry(one, places, base, given)
+            elif callable(given[one.name]):
+                given[one.name] = given[one.name]()
     for place in places.values():
-        place.finish()
-    return kind(**{k: tuple(v) if isinstance(v, list) else v for k, v in given.items()})
+        with kept(errors):
+            place.finish()
+    raise_all(errors)
+    result = kind(**{k: tuple(v) if isinstance(v, list) else v for k, v in given.items()})
+    if hasattr(result, 'check'):
+        result.check(section)
+    return result
+
+
+def _read_entry(
+    one: Field[Any], places: dict[str, Section], base: Any, given: dict[str, Any]
+) -> None:
+    """Add a field to what is given, unless its default holds; ``places`` are sections by name."""
+    inner, key = _place(one)
+    optional = base is not None or one.default is not MISSING
+    if inner not in places or (inner and not optional and inner not in places['']):
+        places[inner] = places[''].section(inner, required=not optional)
+    if not one.metadata or (optional and key not in places[inner]):
+        if base is not None:
+            given[one.name] = getattr(base, one.name)
+    elif 'part' in one.metadata:
+        inside, part = places[inner].section(key), one.metadata['part']
+        part = part if isinstance(part, type) else part(inside)
+        given[one.name] = read_entries(part, inside)
+    else:
+        how, details, limits = one.metadata['entry']
+        given[one.name] = getattr(places[inner], how)(key, *details, **limits)
 
 
 def plain_entries(data: Any) -> Any:

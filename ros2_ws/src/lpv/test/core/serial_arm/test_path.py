@@ -132,7 +132,7 @@ def test_given_a_scenario_when_used_then_arms_are_drawn_by_seed_and_fields_kept_
 
 
 def test_given_factors_of_links_when_one_is_massless_then_their_centres_stay():
-    still = LinkInertia(0.0)
+    still = LinkInertia.from_vector(np.zeros(10))
     joints = *ARM.joints[:2], replace(ARM.joints[2], link=still, rotor_inertia=0.1)
     scenario = replace(parse_scenario(DATA), parameter_error=0.0, inertia_factors=(1.2,) * 3)
     first, _, last = scenario.true_arm(replace(ARM, joints=joints)).joints

@@ -155,7 +155,7 @@ def test_joints_that_no_arm_has_are_refused_by_name(small, reason):
 
 def test_given_a_joint_that_moves_no_mass_then_its_file_is_refused_by_name():
     arm = shoulder_arm()
-    last = replace(arm.joints[-1], link=LinkInertia(0.0), rotor_inertia=0.0)
+    last = replace(arm.joints[-1], link=LinkInertia.from_vector(np.zeros(10)), rotor_inertia=0.0)
     with pytest.raises(ConfigError, match=r'joints\[2\].link: joint3 moves no mass'):
         parse_arm(to_mapping(replace(arm, joints=(*arm.joints[:-1], last))))
 

@@ -126,11 +126,7 @@ class CertifiedGains:
         top = Section(data, source, cls.section)
         if top.integer('format') != cls.format:
             raise top.error('format', f'must be {cls.format}; design the gains again')
-        return cls._read(top, top.text('checksum'))
-
-    @classmethod
-    def _read(cls: type[_Kind], top: Section, checksum: str) -> _Kind:
-        return read_entries(cls, top, checksum=checksum)
+        return read_entries(cls, top, checksum=lambda: top.text('checksum'))
 
     def parameters(self) -> dict[str, Any]:
         """What they are below ``ros__parameters``."""

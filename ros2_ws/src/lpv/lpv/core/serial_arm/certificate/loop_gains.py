@@ -93,13 +93,11 @@ class LoopGains(CertifiedGains):
         loop = self.mapping()
         return {'bandwidth': loop.pop('bandwidth'), self.section: loop}
 
-    @classmethod
-    def _read(cls, top: Section, checksum: str) -> 'LoopGains':
-        gains = super()._read(top, checksum)
-        n, forms = len(gains.model.inertia), vars(gains.model.forms).values()
-        if len(gains.error.bound) != n or any(len(rows) != n - 1 for rows in forms):
-            raise top.error('model', f'must have forms and bounds of {n} joints')
-        return gains
+    def check(self, section: Section) -> None:
+        """ConfigError for numbers of different arms."""
+        n, forms = len(self.model.inertia), vars(self.model.forms).values()
+        if len(self.error.bound) != n or any(len(rows) != n - 1 for rows in forms):
+            raise section.error('model', f'must have forms and bounds of {n} joints')
 
     def numbers(self, arm: SerialArm, share: float, number: NumberType = float) -> LoopNumbers:
         """Intervals of the loop's eigenvalues where joints move at a share of their limits.

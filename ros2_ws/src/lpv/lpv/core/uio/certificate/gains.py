@@ -1,7 +1,7 @@
 """Gains of observer and controller of a planar arm, and files with gains of either kind."""
 
 from collections.abc import Iterator
-from dataclasses import MISSING, dataclass, field
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +11,7 @@ from lpv.core.serial_arm.certificate.certified import CertifiedGains, Inequaliti
 from lpv.core.serial_arm.certificate.loop_gains import LoopGains
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.support.config import Section, read_yaml
-from lpv.core.support.entries import part, read_entries
+from lpv.core.support.entries import part
 from lpv.core.support.errors import ConfigError
 from lpv.core.support.inequalities import Check, NumberType
 from lpv.core.uio.certificate.conditions import (
@@ -28,15 +28,20 @@ from lpv.core.uio.observer.sampled_observer import ObserverGains
 from lpv.core.uio.planar import planar_model
 
 
+def _observer_of(section: Section) -> type[ObserverGains]:
+    """What the section of an observer holds, which its method says."""
+    kinds = {'exact': ExactObserverGains, 'paper': PaperObserverGains}
+    return kinds[section.text('method', choices=METHODS)]
+
+
 @dataclass(frozen=True)
 class Gains(CertifiedGains):
     """Everything that a design hands to the nodes."""
 
-    # which of both its method says
-    observer: ObserverGains = field(default=MISSING)  # type: ignore[assignment]
+    observer: ObserverGains = part(_observer_of)
     controller: ControllerGains = part(ControllerGains)
     # margins, solver and versions, as text and numbers: information, nothing is computed from it
-    certificate: dict = field(default_factory=dict)
+    certificate: dict = field(default_factory=dict, metadata={'entry': ('plain', (), {})})
     format = 3
     section = 'gains'
     unused = ('format', 'arm_name', 'certificate')
@@ -51,19 +56,6 @@ class Gains(CertifiedGains):
         data = super().mapping()
         data['certificate'] = data.pop('certificate')
         return data
-
-    @classmethod
-    def _read(cls, top: Section, checksum: str) -> 'Gains':
-        section = top.section('observer')
-        method = section.text('method', choices=METHODS)
-        kind: Any = ExactObserverGains if method == 'exact' else PaperObserverGains
-        observer = read_entries(kind, section)
-        if method == 'paper' and np.any(observer.box[:, 0] >= observer.box[:, 1]):
-            raise section.error('box', 'must have lower ends below upper ends')
-        if method == 'paper' and not observer.r < observer.q:
-            raise section.error('r', 'must be below q')
-        certificate = top.plain('certificate')
-        return read_entries(cls, top, observer=observer, certificate=certificate, checksum=checksum)
 
     def inequalities(self, arm: SerialArm, number: NumberType = float) -> Inequalities:
         """As of `CertifiedGains`.

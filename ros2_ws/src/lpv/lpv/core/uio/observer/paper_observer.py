@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from lpv.core.support.config import Section
 from lpv.core.support.entries import array, entry, positive
 from lpv.core.support.jit import njit_in_place as njit
 from lpv.core.uio.model.arm import ArmParameters
@@ -35,6 +36,13 @@ class PaperObserverGains:
     r: float = positive()  # radius of that disc [1/s]
     # standard deviations of the fault estimates [rad]
     fault_sigma: np.ndarray = array(2, low=0.0)
+
+    def check(self, section: Section) -> None:
+        """ConfigError for a box without width, or a disc that reaches unstable poles."""
+        if np.any(self.box[:, 0] >= self.box[:, 1]):
+            raise section.error('box', 'must have lower ends below upper ends')
+        if not self.r < self.q:
+            raise section.error('r', 'must be below q')
 
     @property
     def decay(self) -> float:
