@@ -9,6 +9,7 @@ from typing import Any
 import cvxpy as cp
 import numpy as np
 
+from lpv.core.serial_arm.two_links import ArmParameters
 from lpv.core.support.config import Section
 from lpv.core.support.entries import entry, positive
 from lpv.core.support.limits import LARGEST
@@ -25,7 +26,6 @@ from lpv.core.uio.certificate.sampled_motion import (
     SampledLoop,
     sampled_loop,
 )
-from lpv.core.uio.model.arm import ArmParameters
 from lpv_design.solve import RESERVE, InfeasibleError, run, solve, symmetric_below
 
 _RATES = (0.5, 0.25, 0.0)

@@ -8,9 +8,9 @@ import cvxpy
 import numpy as np
 
 from lpv.core.serial_arm.description import SerialArm
+from lpv.core.serial_arm.two_links import ArmParameters
 from lpv.core.support.inequalities import Check
 from lpv.core.uio.certificate.gains import Gains
-from lpv.core.uio.model.arm import ArmParameters
 from lpv.core.uio.observer.sampled_observer import ObserverGains
 from lpv.core.uio.planar import planar_model
 from lpv_design.controller import design_controller

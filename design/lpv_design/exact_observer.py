@@ -16,12 +16,12 @@ from typing import Any
 import cvxpy as cp
 import numpy as np
 
+from lpv.core.serial_arm.two_links import ArmParameters
 from lpv.core.support.config import Section
 from lpv.core.support.entries import entry, positive
 from lpv.core.support.limits import LARGEST
 from lpv.core.uio.certificate.error_system import LinkError, exact_fault_sigma, link_errors
 from lpv.core.uio.certificate.lmi import covariance, disc
-from lpv.core.uio.model.arm import ArmParameters
 from lpv.core.uio.observer.exact_observer import ExactObserverGains
 from lpv_design.solve import RESERVE, InfeasibleError, run, symmetric_below
 

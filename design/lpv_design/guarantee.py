@@ -5,9 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from lpv.core.monitoring.parameters import DiagnosisParameters
+from lpv.core.serial_arm.two_links import ArmParameters
 from lpv.core.uio.bound.error_bound import error_bound, static_bound
 from lpv.core.uio.certificate.gains import Gains
-from lpv.core.uio.model.arm import ArmParameters
 
 POINTS = 13
 """Angles of each link in the map."""

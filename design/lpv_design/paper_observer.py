@@ -6,13 +6,13 @@ from dataclasses import dataclass, replace
 import cvxpy as cp
 import numpy as np
 
+from lpv.core.serial_arm.two_links import ArmParameters
 from lpv.core.support.config import Section
 from lpv.core.support.entries import entry
 from lpv.core.support.limits import LARGEST
 from lpv.core.uio.certificate.conditions import observer_margin
 from lpv.core.uio.certificate.error_system import paper_fault_sigma
 from lpv.core.uio.certificate.lmi import paper_inequalities
-from lpv.core.uio.model.arm import ArmParameters
 from lpv.core.uio.model.joints import JointMap
 from lpv.core.uio.model.polytope import paper_descriptor, sinc_box
 from lpv.core.uio.observer.paper_observer import PaperObserverGains, decoupling

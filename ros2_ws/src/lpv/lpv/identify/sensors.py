@@ -8,7 +8,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from lpv.bag.run.csv_import import ColumnMap
-from lpv.core.serial_arm.description import JointSensors, SecondEncoder, SerialArm
+from lpv.core.serial_arm.description import JointSensors, PositionSensor, SerialArm
 from lpv.core.serial_arm.rate_independence import rate_source
 from lpv.core.support.errors import ConfigError
 from lpv.core.support.limits import SMALL
@@ -144,7 +144,7 @@ class SecondReading:
     """What a recording says of the second encoder of a joint."""
 
     joint: str  # name of the joint
-    encoder: SecondEncoder  # its noise and quantization
+    encoder: PositionSensor  # its noise and quantization
     scale: float  # second reading by first; negative where it counts the other way
     offset: float  # of the second reading [rad]
     difference: float  # RMS of what scale and offset leave: elasticity, backlash, noise [rad]
@@ -176,7 +176,7 @@ def find_second_encoders(
                 'second encoder of this joint in rad, or m, at the joint'
             )
         rest = second[:, j] - scale * first[:, j] - offset
-        encoder = SecondEncoder(name, max(float(noise[j]), 1e-9), float(step[j]))
+        encoder = PositionSensor(name, max(float(noise[j]), 1e-9), float(step[j]))
         found.append(SecondReading(joint, encoder, scale, offset, float(np.sqrt(np.mean(rest**2)))))
     return found
 

@@ -9,12 +9,11 @@ from lpv.bag.rosbag.output_folder import GAINS_NAME
 from lpv.core.serial_arm.arm_file import load_arm
 from lpv.core.serial_arm.certificate.certified import CertifiedGains
 from lpv.core.serial_arm.description import SerialArm
-from lpv.core.serial_arm.two_links import two_link_arm
+from lpv.core.serial_arm.two_links import arm_from_json, two_link_arm
 from lpv.core.support.errors import ConfigError, LpvError
 from lpv.core.support.inequalities import Check
 from lpv.core.support.resources import bringup_file, shipped_files
 from lpv.core.uio.certificate.gains import load_certified
-from lpv.core.uio.model.arm import arm_from_json
 
 _ANSWERS = tuple(
     f'lpv_msgs/msg/{name}' for name in ('FaultEstimate', 'StateEstimate', 'FaultAlarm')

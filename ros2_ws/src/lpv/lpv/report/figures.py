@@ -29,7 +29,7 @@ from lpv.report.style import (
 )
 
 if TYPE_CHECKING:
-    from lpv.core.uio.model.arm import ArmParameters
+    from lpv.core.serial_arm.two_links import ArmParameters
     from lpv_design.guarantee import Guarantee
 
 ALARM = '#c8102e'

@@ -17,12 +17,12 @@ import numpy as np
 from lpv.core.control.tracking_law import AT_REFERENCE, AT_STATE, NO_MODEL, LawParts, track
 from lpv.core.serial_arm.chain import compile_chain, workspace
 from lpv.core.serial_arm.description import SerialArm
+from lpv.core.serial_arm.two_links import ArmParameters
 from lpv.core.support.errors import ConfigError
 from lpv.core.support.jit import Entries
 from lpv.core.support.limits import MAX_DELAY
 from lpv.core.uio.certificate.conditions import controller_loop, delayed_radius, discretised
 from lpv.core.uio.certificate.gains import Gains
-from lpv.core.uio.model.arm import ArmParameters
 from lpv.core.uio.model.joints import J_INVERSE, JointMap
 from lpv.core.uio.planar import planar_model
 

@@ -169,29 +169,24 @@ class TorqueTolerance:
 
 
 @dataclass(frozen=True)
-class SecondEncoder:
-    """Another position sensor of the same joint, as the link-side one of an elastic gear."""
-
-    name: str = entry('text')  # name of the sensor; faults carry it
-    # standard deviation per sample [rad]
-    position_noise: float = entry('number', default=1e-4, above=0.0, high=10.0)
-    # step of the readings, 0 if none is known [rad]
-    quantization: float = entry('number', default=0.0, low=0.0, high=10.0)
-
-
-@dataclass(frozen=True)
-class JointSensors:
-    """Sensors of one joint."""
+class PositionSensor:
+    """A position sensor of a joint, as the second one on the link side of an elastic gear."""
 
     name: str = entry('text')  # name of the position sensor; faults carry it
     # standard deviation per sample, without quantization [rad]
     position_noise: float = entry('number', default=1e-4, above=0.0, high=10.0)
     # step of the positions, 0 if none is known [rad]
     quantization: float = entry('number', default=0.0, low=0.0, high=10.0)
+
+
+@dataclass(frozen=True)
+class JointSensors(PositionSensor):
+    """Sensors of one joint."""
+
     rates: str = entry('text', default='derived', choices=RATE_SOURCES)
     # standard deviation per sample [rad/s]
     velocity_noise: float = entry('number', default=1e-2, above=0.0, high=1e3)
-    second_encoder: SecondEncoder | None = part(SecondEncoder, default=None)
+    second_encoder: PositionSensor | None = part(PositionSensor, default=None)
 
 
 @dataclass(frozen=True)

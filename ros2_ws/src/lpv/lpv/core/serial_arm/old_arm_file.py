@@ -4,16 +4,26 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from lpv.core.serial_arm.description import SerialArm
-from lpv.core.serial_arm.two_links import Link, TwoLinks, two_link_arm
+from lpv.core.serial_arm.two_links import ArmParameters, Link, two_link_arm
 from lpv.core.support.config import Section
 from lpv.core.support.entries import entry, read_entries
 from lpv.core.support.errors import each
 
 
 @dataclass(frozen=True, kw_only=True)
-class _File(TwoLinks):
+class _File(ArmParameters):
     """What such a file states otherwise."""
 
+    orientation: str = entry('text', choices=('upright', 'hanging'), at='region.orientation')
+    cos_min: tuple = entry('vector', 2, low=0.01, high=0.999, at='region.cos_min')
+    disturbance_direction: tuple = entry(
+        'vector', 2, low=-1e3, high=1e3, at='disturbance.direction'
+    )
+    disturbance_mean: float = entry('number', low=-1e4, high=1e4, at='disturbance.mean')
+    disturbance_variance: float = entry('number', low=0.0, high=1e8, at='disturbance.variance')
+    velocity_error: float = entry(
+        'number', default=0.0, low=0.0, high=0.5, at='sensors.velocity_error'
+    )
     rotor_inertia: float = entry('number', default=0.0, low=0.0, high=1e4, at='rotor.inertia')
     gear_ratio: float = entry('number', default=1.0, above=0.0, high=1e4, at='rotor.gear_ratio')
     slope: float = entry('number', default=100.0, above=0.0, high=1e6, at='friction.coulomb_slope')

@@ -1,8 +1,12 @@
 """Arms of two links in a vertical plane from the numbers that describe one in the plane."""
 
+import json
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, fields, replace
 from typing import Any, NamedTuple
+
+import numpy as np
 
 from lpv.core.serial_arm.description import (
     RATE_SOURCES,
@@ -17,8 +21,11 @@ from lpv.core.serial_arm.description import (
     TorqueTolerance,
     Uncertainty,
 )
+from lpv.core.support.config import sha256_of
 from lpv.core.support.entries import entry, positive
+from lpv.core.support.errors import ConfigError
 from lpv.core.support.inequalities import NumberType
+from lpv.core.support.records import new_record, record_type
 
 
 def _pair(low: float, high: float, **details: Any) -> Any:
@@ -49,12 +56,29 @@ class ArmNumbers(NamedTuple):
     gravity: tuple[Any, Any]  # G_i: largest gravity torque of each angle [N m]
 
 
-@dataclass(frozen=True, kw_only=True)
-class TwoLinks:
-    """A planar two-link arm in a vertical plane, its sensors and its operating region.
+ARM_CONSTANTS = record_type(
+    # Of links and rotors, see `ArmNumbers`:
+    ('inertia', 'f8', (2,)),
+    ('coupling', 'f8'),
+    ('rotor_coupling', 'f8'),
+    ('gravity', 'f8', (2,)),
+    ('offset', 'f8', (2,)),  # joint friction [N m]
+    ('viscous', 'f8', (2,)),  # joint friction [N m s/rad]
+    ('coulomb', 'f8', (2,)),  # joint friction [N m]
+    ('coulomb_slope', 'f8', (2,)),  # steepness of its sign change [s/rad]
+    ('load', 'f8', (2,)),  # growth of Coulomb friction with the torque that a gear carries [-]
+    ('coriolis', 'f8'),  # 1, or 0 without the quadratic term O(theta, theta')
+)
+"""Constants of eqs. (1)-(3) for compiled functions."""
 
-    Angles are ABSOLUTE link angles from the upper vertical (paper, Fig. 1).  Entries are those of
-    arm files of the form before there was one kind of arm.
+
+@dataclass(frozen=True, kw_only=True)
+class ArmParameters(LpvRegion):
+    """A planar two-link arm in the paper's symbols, its sensors and its operating region.
+
+    Angles are ABSOLUTE link angles from the upper vertical (paper, Fig. 1);
+    ``lpv.core.uio.model.joints`` holds the only conversion to ROS joint coordinates.  Entries are
+    those of arm files of the form before there was one kind of arm.
     """
 
     name: str = entry('text')  # name of the arm
@@ -87,20 +111,9 @@ class TwoLinks:
     position_noise: float = entry('number', above=0.0, high=10.0, at='sensors.position_noise')
     # the same of rates [rad/s]
     velocity_noise: float = entry('number', above=0.0, high=1e3, at='sensors.velocity_noise')
-    # relative error of the rates (scale, delay); limits of changes grow with it
-    velocity_error: float = _number(0.0, 0.5, default=0.0, at='sensors.velocity_error')
     # whether rates have sensors of their own ('independent'), are computed from the positions
     # ('derived'), or are missing ('none'); see `lpv.core.serial_arm.rate_independence`
     rates: str = entry('text', default='independent', choices=RATE_SOURCES, at='sensors.rates')
-    # last two rows of Bd, eq. (31): accelerations of the absolute angles per unit of d
-    disturbance_direction: tuple = _pair(-1e3, 1e3, at='disturbance.direction')
-    # of the white disturbance d that the design must live with
-    disturbance_mean: float = _number(-1e4, 1e4, at='disturbance.mean')
-    disturbance_variance: float = _number(0.0, 1e8, at='disturbance.variance')  # the same
-    # operating region of both links: cos(theta) > 0 ('upright') or cos(theta) < 0 ('hanging')
-    orientation: str = entry('text', choices=('upright', 'hanging'), at='region.orientation')
-    # smallest abs(cos(theta_i)) of the region in which gains are certified
-    cos_min: tuple = _pair(0.01, 0.999, at='region.cos_min')
     # relative error of masses and inertias that thresholds must tolerate
     model_error: float = _number(0.0, 0.5, default=0.0)
     friction_error: float = UNSTATED_FRICTION  # relative error of Coulomb friction in bounds
@@ -135,8 +148,96 @@ class TwoLinks:
         coupling = abs(values.rotor_coupling) + values.coupling
         return bool(values.inertia[0] * values.inertia[1] > coupling**2)
 
+    @property
+    def lengths(self) -> tuple[float, float]:
+        """Link lengths (L1, L2) [m]."""
+        return self.links[0].length, self.links[1].length
 
-def two_link_arm(arm: TwoLinks) -> SerialArm:
+    @property
+    def sign(self) -> float:
+        """+1 for an upright region, -1 for a hanging one (sign of cos(theta))."""
+        return 1.0 if self.orientation == 'upright' else -1.0
+
+    def constants(self, coriolis: bool = True) -> np.record:
+        """Constants of eqs. (1)-(3) for compiled functions, of type `ARM_CONSTANTS`.
+
+        Without ``coriolis``, the quadratic term O(theta, theta') of eq. (1) is left out, as the
+        paper does in eq. (4).
+        """
+        return new_record(
+            ARM_CONSTANTS,
+            **self.numbers()._asdict(),
+            offset=self.offset,
+            viscous=self.viscous,
+            coulomb=self.coulomb,
+            coulomb_slope=self.coulomb_slope,
+            load=self.load,
+            coriolis=coriolis,
+        )
+
+    def with_payload(self, mass: float) -> 'ArmParameters':
+        """This arm with a point mass at its tip [kg]; a negative one takes a payload away."""
+        if not -self.links[1].mass < mass < math.inf:
+            raise ConfigError('payload', f'must be finite and leave link 2 a mass, got {mass}')
+        link = self.links[1]
+        total = link.mass + mass
+        center = (link.mass * link.center_of_mass + mass * link.length) / total
+        inertia = link.inertia + mass * link.length**2
+        return replace(self, links=(self.links[0], Link(total, link.length, center, inertia)))
+
+    def scaled(
+        self,
+        mass_factors: Sequence[float] = (1.0, 1.0),
+        inertia_factors: Sequence[float] = (1.0, 1.0),
+    ) -> 'ArmParameters':
+        """This arm with the masses and inertias of its links multiplied (model error)."""
+        links = tuple(
+            replace(link, mass=link.mass * m, inertia=link.inertia * i)
+            for link, m, i in zip(self.links, mass_factors, inertia_factors)
+        )
+        return replace(self, links=links)
+
+    def to_json(self) -> str:
+        """All parameters as one line of JSON; `arm_from_json` reads it back exactly."""
+        parameters = self._stated()
+        if self.rates != 'independent':
+            parameters['rates'] = self.rates
+        return json.dumps(parameters, sort_keys=True)
+
+    def sha256(self) -> str:
+        """Hash of every parameter of the design: gains carry it, so that they fit one arm only."""
+        return sha256_of(self._stated())
+
+    def _stated(self) -> dict[str, Any]:
+        """All parameters but the source of rates, as files with the first ones have them: their
+        gains stay those of this arm."""
+        parameters = {**asdict(self), 'inertia_reference': 'joint'}
+        del parameters['rates']
+        for name in ('offset', 'load'):
+            if not any(parameters[name]):
+                del parameters[name]
+        if len(set(self.coulomb_slope)) == 1:
+            parameters['coulomb_slope'] = self.coulomb_slope[0]
+        return parameters
+
+
+def arm_from_json(text: str) -> ArmParameters:
+    """The same arm, bit by bit, from `ArmParameters.to_json`; ConfigError for any other text."""
+    try:
+        data = json.loads(text)
+        if data.pop('inertia_reference') != 'joint':
+            raise ValueError('inertias must be about the joints')
+        data['links'] = tuple(Link(**link) for link in data['links'])
+        for name, value in data.items():
+            data[name] = tuple(value) if isinstance(value, list) else value
+        if not isinstance(data['coulomb_slope'], tuple):
+            data['coulomb_slope'] = (data['coulomb_slope'],) * 2
+        return ArmParameters(**data)
+    except (ValueError, TypeError, KeyError, RecursionError) as error:
+        raise ConfigError('arm', f'is not the description of an arm ({error})') from error
+
+
+def two_link_arm(arm: ArmParameters) -> SerialArm:
     """A planar arm as an arm file states it, with the region of the design; the base has x forward
     and z up, axes point along -y."""
     joints = []
@@ -173,14 +274,7 @@ def two_link_arm(arm: TwoLinks) -> SerialArm:
         uncertainty=Uncertainty(arm.payload, arm.friction_error, arm.model_error or None),
         sample_time=arm.sample_time,
         sensor_matrix=_ABSOLUTE if arm.arrangement == 'absolute' else None,
-        lpv=LpvRegion(
-            arm.orientation,
-            arm.cos_min,
-            arm.disturbance_direction,
-            arm.disturbance_mean,
-            arm.disturbance_variance,
-            arm.velocity_error,
-        ),
+        lpv=LpvRegion(**{one.name: getattr(arm, one.name) for one in fields(LpvRegion)}),
     )
 
 

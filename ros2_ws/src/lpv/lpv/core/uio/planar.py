@@ -19,10 +19,9 @@ from lpv.core.serial_arm.description import (
     rotation_from_rpy,
 )
 from lpv.core.serial_arm.diagnosis.priors import MODEL_ERROR
-from lpv.core.serial_arm.two_links import Link
+from lpv.core.serial_arm.two_links import ArmParameters, Link
 from lpv.core.support.errors import ConfigError
 from lpv.core.support.inequalities import SAME
-from lpv.core.uio.model.arm import ArmParameters
 from lpv.core.uio.model.joints import J_INVERSE
 
 
@@ -59,20 +58,15 @@ def planar_model(arm: SerialArm) -> ArmParameters:
         arrangement=_arrangement(arm),
         position_noise=max(math.hypot(s.position_noise, s.quantization / 12**0.5) for s in sensors),
         velocity_noise=max(s.velocity_noise for s in sensors),
-        velocity_error=region.velocity_error,
         rates=sensors[0].rates,
-        disturbance_direction=region.disturbance_direction,
-        disturbance_mean=region.disturbance_mean,
-        disturbance_variance=region.disturbance_variance,
         model_error=MODEL_ERROR if stated is None else stated,
         friction_error=arm.uncertainty.friction or UNSTATED_FRICTION,
         payload=arm.uncertainty.largest_payload,
         torque_tolerance=tuple(max(joint.torque_tolerance.torque) for joint in arm.joints),
         torque_limit=arm.torque_limit,
         velocity_limit=arm.velocity_limit,
-        orientation=region.orientation,
-        cos_min=region.cos_min,
         sample_time=arm.sample_time,
+        **vars(region),
     )
 
 

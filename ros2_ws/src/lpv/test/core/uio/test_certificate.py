@@ -19,12 +19,11 @@ from scipy.linalg import expm
 from lpv import ConfigError, DiagnosisParameters
 from lpv.cli.main import main
 from lpv.core.serial_arm.certificate.certified import judged
-from lpv.core.serial_arm.two_links import two_link_arm
+from lpv.core.serial_arm.two_links import arm_from_json, two_link_arm
 from lpv.core.support.inequalities import is_positive_definite
 from lpv.core.uio.certificate import conditions, error_system, sampled_motion
 from lpv.core.uio.certificate.error_system import exact_fault_sigma
 from lpv.core.uio.certificate.gains import Gains, load_certified, load_gains
-from lpv.core.uio.model.arm import arm_from_json
 from lpv.core.uio.model.polytope import sinc_box
 from lpv_design.exact_observer import design_exact, torque_gains
 from lpv_design.guarantee import guarantee

@@ -18,6 +18,7 @@ import numpy as np
 
 from lpv.core.serial_arm.description import SIGMAS
 from lpv.core.serial_arm.diagnosis.sampler import LATE
+from lpv.core.serial_arm.two_links import ArmParameters
 from lpv.core.support.jit import njit_in_place as njit
 from lpv.core.support.records import new_record, record_type
 from lpv.core.uio.bound.dead_reckoning import (
@@ -44,7 +45,6 @@ from lpv.core.uio.bound.zonotope import (
     reduce_columns,
     shear_columns,
 )
-from lpv.core.uio.model.arm import ArmParameters
 from lpv.core.uio.model.dynamics import coupling
 from lpv.core.uio.model.joints import row_size
 from lpv.core.uio.observer.exact_observer import ExactObserverGains, injection

@@ -20,10 +20,10 @@ import numpy as np
 from lpv.core.serial_arm.description import RATE_BIAS, SIGMAS
 from lpv.core.serial_arm.dynamics.friction import smooth_sign
 from lpv.core.serial_arm.dynamics.payload import PAYLOAD_PLACE
+from lpv.core.serial_arm.two_links import ARM_CONSTANTS, ArmParameters
 from lpv.core.support.inequalities import SAME
 from lpv.core.support.jit import njit_in_place as njit
 from lpv.core.support.records import new_record, record_type
-from lpv.core.uio.model.arm import ARM_CONSTANTS, ArmParameters
 from lpv.core.uio.model.dynamics import Pair, rigid_torque
 from lpv.core.uio.model.joints import JOINT_MAP, JointMap, row_dot, row_size
 

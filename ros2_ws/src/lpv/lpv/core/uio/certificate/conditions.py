@@ -12,12 +12,12 @@ from typing import Any
 import numpy as np
 
 from lpv.core.serial_arm.certificate.certified import Inequalities, judged
+from lpv.core.serial_arm.two_links import ArmParameters
 from lpv.core.support.entries import array, entry, part, positive
 from lpv.core.support.inequalities import SAME, Check, NumberType, array_of, largest_eigenvalue
 from lpv.core.uio.certificate.error_system import exact_fault_sigma, link_errors, paper_fault_sigma
 from lpv.core.uio.certificate.lmi import disc, paper_inequalities
 from lpv.core.uio.certificate.sampled_motion import MotionCertificate, sampled_loop
-from lpv.core.uio.model.arm import ArmParameters
 from lpv.core.uio.model.polytope import (
     exact_vertices,
     paper_descriptor,

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from lpv.core.serial_arm.two_links import ArmParameters
 from lpv.core.support.inequalities import NumberType, array_of
 from lpv.core.support.limits import SMALL
-from lpv.core.uio.model.arm import ArmParameters
 from lpv.core.uio.model.joints import JointMap
 from lpv.core.uio.model.polytope import paper_descriptor
 from lpv.core.uio.observer.paper_observer import PaperObserverGains

@@ -19,8 +19,8 @@ from itertools import product
 
 import numpy as np
 
+from lpv.core.serial_arm.two_links import ArmParameters
 from lpv.core.support.entries import array, entry, positive
-from lpv.core.uio.model.arm import ArmParameters
 
 SIZE = 8
 """Of (theta, theta', eps, u)."""

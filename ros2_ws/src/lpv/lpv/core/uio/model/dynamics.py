@@ -3,7 +3,7 @@
 ``Xi(theta) theta'' + O(theta, theta') theta' + g(theta) + friction = Q + Xi(theta) Bd2 d``
 
 Eq. (3) of the paper lost a factor g in its gravity term; eq. (7) has it, and so has this module.
-All functions take the record of `lpv.core.uio.model.arm.ArmParameters.constants` as ``params``.
+All functions take ``params`` as of `lpv.core.serial_arm.two_links.ArmParameters.constants`.
 """
 
 import math

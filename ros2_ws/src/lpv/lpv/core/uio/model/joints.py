@@ -18,9 +18,9 @@ Q = J^T tau, that is Q1 = tau1 - tau2 and Q2 = tau2.
 import numpy as np
 from numpy.typing import ArrayLike
 
+from lpv.core.serial_arm.two_links import ArmParameters
 from lpv.core.support.jit import njit_in_place as njit
 from lpv.core.support.records import new_record, record_type
-from lpv.core.uio.model.arm import ArmParameters
 
 J = np.array([[1.0, 0.0], [-1.0, 1.0]])
 """Joint velocities from absolute ones, q' = J theta'."""

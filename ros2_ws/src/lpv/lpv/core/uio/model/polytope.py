@@ -21,9 +21,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from lpv.core.serial_arm.two_links import ArmParameters
 from lpv.core.support.inequalities import NumberType, array_of
 from lpv.core.support.jit import njit_in_place as njit
-from lpv.core.uio.model.arm import ArmParameters
 from lpv.core.uio.model.joints import JointMap
 
 

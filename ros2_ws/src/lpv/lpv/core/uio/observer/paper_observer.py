@@ -13,10 +13,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from lpv.core.serial_arm.two_links import ArmParameters
 from lpv.core.support.config import Section
 from lpv.core.support.entries import array, entry, positive
 from lpv.core.support.jit import njit_in_place as njit
-from lpv.core.uio.model.arm import ArmParameters
 from lpv.core.uio.model.polytope import paper_descriptor, paper_scheduling, paper_weights
 
 

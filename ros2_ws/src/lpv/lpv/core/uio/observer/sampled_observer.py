@@ -9,11 +9,11 @@ import numpy as np
 
 from lpv.core.serial_arm.description import SIGMAS
 from lpv.core.serial_arm.diagnosis.alarms import Mode
+from lpv.core.serial_arm.two_links import ARM_CONSTANTS, ArmParameters
 from lpv.core.support.jit import njit_in_place as njit
 from lpv.core.support.limits import MAX_GAP, SMALL
 from lpv.core.support.records import new_record, record_type
 from lpv.core.support.timestamps import NANOSECONDS, NEVER
-from lpv.core.uio.model.arm import ARM_CONSTANTS, ArmParameters
 from lpv.core.uio.model.dynamics import acceleration
 from lpv.core.uio.model.joints import JOINT_MAP, JointMap, copy_vector, row_dot
 from lpv.core.uio.observer.exact_observer import ExactObserverGains, exact_rate
