@@ -15,7 +15,6 @@ import numpy as np
 from lpv.core.monitoring import message_fields
 from lpv.core.monitoring.alarm_text import other_unit, unusable_text
 from lpv.core.monitoring.answers import LONGEST_STALE, Answer, Answers, answer_type
-from lpv.core.monitoring.batch import Batch, new_batch
 from lpv.core.monitoring.compensation import AnswerRows
 from lpv.core.monitoring.idle_efforts import IdleSignal
 from lpv.core.monitoring.joint_order import JointOrder
@@ -150,7 +149,7 @@ class SerialSensorMonitor:
         self._joints = len(arm.joints)
         self.answer_type = answer_type(self._joints)
         self._call = Entries()
-        self._one = new_batch(self.answer_type, 1, self._joints)  # of `take`
+        self._one = Answers(self.answer_type, 1)  # of `take`
         self._bytes = self._one.plain.view('u1')
         self._order = JointOrder(arm.joint_names)
         rates = [joint.sensors.rates for joint in arm.joints]
@@ -280,17 +279,17 @@ class SerialSensorMonitor:
             measured[2] /= self._torque_gain  # in the unit of efforts, as all that is taken
         one, self._bytes[:] = self._one, 0
         one.stamps[0] = stamp
-        for found in (one.answers.events, one.answers.reports, one.answers.warnings):
+        for found in (one.events, one.reports, one.warnings):
             found.clear()
-        answers = self._take(one, *measured[:, None])
+        self._take(one, *measured[:, None])
         if not one.rows.answered[0]:
             return None
         return Answer(
             stamp,
             one.plain.copy()[0],
-            answers.reports[0][1] if answers.reports else None,
-            [event for _, event in answers.events],
-            [text for _, text in answers.warnings],
+            one.reports[0][1] if one.reports else None,
+            [event for _, event in one.events],
+            [text for _, text in one.warnings],
         )
 
     def take_many(
@@ -318,20 +317,21 @@ class SerialSensorMonitor:
         Answers
             One row a measurement.
         """
-        batch = new_batch(self.answer_type, len(stamps), self._joints)
-        batch.stamps[:] = stamps
-        return self._take(batch, position, velocity, effort, arrived)
+        answers = Answers(self.answer_type, len(stamps))
+        answers.stamps[:] = stamps
+        self._take(answers, position, velocity, effort, arrived)
+        return answers
 
     def _take(
         self,
-        batch: Batch,
+        answers: Answers,
         position: FloatArray,
         velocity: FloatArray,
         effort: FloatArray,
         arrived: IntArray | None = None,
-    ) -> Answers:
-        """Use the measurements of a batch, which has their stamps."""
-        stamps, samples, records, _, rows, answers = batch
+    ) -> None:
+        """Use measurements, whose stamps are there."""
+        stamps, samples = answers.stamps, answers.samples
         samples[:, 0], samples[:, 1], samples[:, 2] = position, velocity, effort
         unread = np.empty(len(stamps), bool)
         self._call(find_unread, stamps, samples, self._small, self._read, unread)
@@ -344,26 +344,25 @@ class SerialSensorMonitor:
         while begin < len(stamps):
             if begin == idle:
                 self._start_again()  # what was learned from them is wrong
-            regular = self._regular(batch, begin)
+            regular = self._regular(answers, begin)
             if not regular:
-                row: Any = records[begin : begin + 1]
+                row: Any = answers.records[begin : begin + 1]
                 if not self._is_of_stream(int(stamps[begin]), row):
                     self._report_silence(arrived, begin, answers)
                     begin += 1
                     continue
                 usable = self._prepare(int(stamps[begin]), samples[begin], unread[begin], row)
             if (self._is_missing or not regular) and not unread[begin]:
-                self._watch_dropouts(int(stamps[begin]), samples[begin], begin, answers)
+                self._watch_dropouts(answers, begin)
             end = begin + max(1, regular)
             if regular or usable:
-                self._run(batch, begin, end, answers)
+                self._run(answers, begin, end)
                 self._patience = NEVER
-            elif rows.answered[begin] and self._is_due(int(stamps[begin])):
-                self._report(int(stamps[begin]), begin, answers)
+            elif answers.rows.answered[begin] and self._is_due(int(stamps[begin])):
+                self._report(answers, begin)
             else:
                 self._report_silence(arrived, begin, answers)
             begin = end
-        return answers
 
     def _report_silence(self, arrived: IntArray | None, row: int, answers: Answers) -> None:
         """Report that no measurement could be used for a while, if it is known when they came."""
@@ -377,7 +376,7 @@ class SerialSensorMonitor:
             note = unusable_text(self.counters)
             answers.reports.append((row, self.status(Mode.STALE, note)))
 
-    def _regular(self, batch: Batch, begin: int) -> int:
+    def _regular(self, answers: Answers, begin: int) -> int:
         """Number of samples from ``begin`` on that can be used as they are, after the last one."""
         if self._blind is None or self._gate.last is None or self._older > LONGEST_STEP:
             return 0
@@ -385,7 +384,7 @@ class SerialSensorMonitor:
             self._stamp, self._gate.last, self._gap, self._blind, self._independent,
             self._endless, self._reading, self._repeats,
         )  # fmt: skip
-        return int(self._call(count_regular, stream, batch.stamps, batch.samples, begin))
+        return int(self._call(count_regular, stream, answers.stamps, answers.samples, begin))
 
     def _lacks_rates(self, rates: FloatArray) -> np.ndarray:
         """Which rates, shape (..., n), have to be made of the readings."""
@@ -461,9 +460,9 @@ class SerialSensorMonitor:
             return False
         return True
 
-    def _watch_dropouts(self, stamp: int, sample: FloatArray, row: int, answers: Answers) -> None:
+    def _watch_dropouts(self, answers: Answers, row: int) -> None:
         """Report sensors whose readings are missing, or are there again."""
-        missing = ~np.isfinite(sample[0])
+        stamp, missing = int(answers.stamps[row]), ~np.isfinite(answers.samples[row, 0])
         if not missing.any() and not self._is_missing:
             return
         self._missing_since[missing & (self._missing_since == NEVER)] = stamp
@@ -485,9 +484,9 @@ class SerialSensorMonitor:
         self._older += delta < 0
         return False
 
-    def _run(self, batch: Batch, begin: int, end: int, answers: Answers) -> None:
+    def _run(self, answers: Answers, begin: int, end: int) -> None:
         """Use samples that are in order."""
-        stamps, samples = batch.stamps[begin:end], batch.samples[begin:end]
+        stamps, samples = answers.stamps[begin:end], answers.samples[begin:end]
         self._add_rates(stamps, samples)
         if self._stamp == NEVER:
             self._monitor.watch_from(int(stamps[0]))
@@ -498,7 +497,7 @@ class SerialSensorMonitor:
             samples[:, 2] = 0.0
 
         def report(first: int, until: int) -> None:
-            self._report_due(batch.stamps[first:until], answers, first)
+            self._report_due(answers, first, until)
 
         def known(row: int, stamp: int) -> None:
             events = self._note(stamp)
@@ -506,8 +505,8 @@ class SerialSensorMonitor:
             if events:
                 self._monitor.progress['next_report'] = NEVER
 
-        self._monitor.run(stamps, samples, batch.rows, begin, Told(report, known))
-        self._newest = batch.plain[end - 1 : end].copy()
+        self._monitor.run(stamps, samples, answers.rows, begin, Told(report, known))
+        self._newest = answers.plain[end - 1 : end].copy()
 
     @property
     def parts(self) -> tuple[SteppedMonitor, Answering]:
@@ -574,16 +573,16 @@ class SerialSensorMonitor:
     def _is_due(self, stamp: int) -> bool:
         return bool(stamp >= self._monitor.progress['next_report'])
 
-    def _report_due(self, stamps: IntArray, answers: Answers, first: int) -> None:
+    def _report_due(self, answers: Answers, first: int, until: int) -> None:
         """Diagnostics reports of samples between two decisions."""
-        k = 0
-        while k < len(stamps) and self._is_due(int(stamps[-1])):
-            k += int(np.searchsorted(stamps[k:], self._monitor.progress['next_report']))
-            if k < len(stamps):
-                self._report(int(stamps[k]), first + k, answers)
+        while first < until and self._is_due(int(answers.stamps[until - 1])):
+            due = self._monitor.progress['next_report']
+            first += int(np.searchsorted(answers.stamps[first:until], due))
+            if first < until:
+                self._report(answers, first)
 
-    def _report(self, stamp: int, row: int, answers: Answers) -> None:
-        self._monitor.progress['next_report'] = stamp + _REPORT_INTERVAL
+    def _report(self, answers: Answers, row: int) -> None:
+        self._monitor.progress['next_report'] = int(answers.stamps[row]) + _REPORT_INTERVAL
         answer = answers.state[row], answers.fault[row] if answers.has_fault[row] else None
         answers.reports.append((row, self._status(*answer)))
         answers.warnings += [(row, text) for text in self._new_warnings(answer[0])]
