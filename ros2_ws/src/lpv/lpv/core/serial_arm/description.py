@@ -123,12 +123,6 @@ class JointFriction:
         slack = 0.05 * self.coulomb + 1e-9
         return bool(np.all(self.viscous * speed + self.coulomb * way >= -slack))
 
-    def torque(self, velocity: np.ndarray, rigid_torque: np.ndarray) -> np.ndarray:
-        """Friction torque [N m] at joint rates [rad/s] and rigid-body torques [N m]."""
-        amplitude = self.coulomb + self.load * np.abs(rigid_torque)
-        way = coulomb_direction(velocity, self.coulomb_slope)
-        return self.offset + self.viscous * velocity + amplitude * way
-
 
 @dataclass(frozen=True)
 class JointLimits:

@@ -7,6 +7,7 @@ from scipy.linalg import block_diag, qr, solve_triangular
 
 from lpv.core.serial_arm.chain import Chain, axis_frame, compile_chain, moved_body, workspace
 from lpv.core.serial_arm.description import N_INERTIAL, SerialArm
+from lpv.core.serial_arm.dynamics.model import SerialModel
 from lpv.core.serial_arm.dynamics.regressor import regressor
 from lpv.core.support.jit import njit
 
@@ -61,11 +62,7 @@ def joint_torques(
     arm: SerialArm, position: np.ndarray, velocity: np.ndarray, acceleration: np.ndarray
 ) -> np.ndarray:
     """Torques of a motion [rad], [rad/s], [rad/s2], friction included, (samples, n) [N m]."""
-    model = RigidBody(arm)
-    matrix = model.regressor(position, velocity, acceleration)
-    rigid = matrix[:, :, : N_INERTIAL * len(arm.joints)] @ arm.inertial_parameters()
-    friction = [j.friction.torque(velocity[:, k], rigid[:, k]) for k, j in enumerate(arm.joints)]
-    return rigid + acceleration @ model.chain.motor + np.stack(friction, axis=1)
+    return SerialModel(compile_chain(arm)).torque(position, velocity, acceleration)
 
 
 @dataclass(frozen=True)
