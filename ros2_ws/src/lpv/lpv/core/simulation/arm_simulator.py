@@ -153,15 +153,9 @@ def read_sensors(
     # Drawn with or without noise, so that both runs share the later numbers.
     for i in range(state.draw.shape[0]):
         state.draw[i, 0], state.draw[i, 1] = noise.standard_normal(), noise.standard_normal()
-    draw_chances(faults, state.own[0].step_count * params.sample_time, chance)
-    _take_readings(params, state, faults)
-
-
-@njit
-def _take_readings(params: PlantConstants, state: PlantState, faults: np.ndarray) -> None:
-    """Read the sensors with the random numbers that have been drawn."""
     reading, n = state.reading, state.reading.shape[0]
     time = state.own[0].step_count * params.sample_time
+    draw_chances(faults, time, chance)
     for i in range(n):
         state.position[i], state.velocity[i] = state.motion[0, i], state.motion[1, i]
         state.before[i] = reading[i]
@@ -321,9 +315,15 @@ class ArmSimulator:
     def read(self) -> None:
         """Read the sensors into `signals`, if that was not done at the present sample."""
         if not self._sensed:
-            self.noise.standard_normal(out=self.state.draw)
-            self.injector.draw(self.time)
-            self._call(_take_readings, self.constants, self.state, self.injector.records)
+            injector = self.injector
+            self._call(
+                read_sensors,
+                self.constants,
+                self.state,
+                injector.records,
+                self.noise,
+                injector.generator,
+            )
             self._sensed = True
 
 

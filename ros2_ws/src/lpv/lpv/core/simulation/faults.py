@@ -22,7 +22,6 @@ GRACE = 1.0
 _LATE = 0.1
 """An alarm that begins so long after a spike, or after the end of a fault, is still of it [s]."""
 
-_RANDOM = ('noise', 'spike')
 _NEEDED = {'drift': 'rate', 'stuck': '', 'dropout': ''}
 """Field of `Fault` that must not be zero, by kind; of others ``size``."""
 
@@ -255,11 +254,6 @@ class FaultInjector:
         self.records = self.records[np.array(kept, dtype=bool)]
         return removed
 
-    def draw(self, time: float) -> None:
-        """Draw what random faults need at a time [s]."""
-        if any(fault.kind in _RANDOM for fault in self.faults):
-            draw_chances(self.records, time, self.generator)
-
     def apply(self, time: float, reading: np.ndarray, sample_time: float) -> np.ndarray:
         """Faulty readings at one time.
 
@@ -278,6 +272,7 @@ class FaultInjector:
             Readings with faults, NaN for a dropout.
         """
         faulty = np.array(reading, float)
-        self.draw(float(time))
+        if any(fault.kind in ('noise', 'spike') for fault in self.faults):
+            draw_chances(self.records, float(time), self.generator)
         apply_faults(self.records, float(time), faulty, sample_time)
         return faulty
