@@ -1,10 +1,8 @@
 """Message definitions for reading and writing bags without ROS."""
 
 import functools
-from collections.abc import Callable
 from typing import Any
 
-from rosbags.highlevel import AnyReaderError
 from rosbags.interfaces import Nodetype
 from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
@@ -32,14 +30,14 @@ def message_text(msgtype: str) -> str:
     )
 
 
-def decode(deserialize: Callable[[bytes, str], Any], data: bytes, msgtype: str) -> Any:
-    """A message from its CDR by a typestore's or reader's method, whatever padding follows it."""
+def decode(typestore: Typestore, data: bytes, msgtype: str) -> Any:
+    """A message from its CDR, whatever padding follows it."""
     try:
-        return deserialize(data, msgtype)
-    except (SerdeError, AnyReaderError) as error:
+        return typestore.deserialize_cdr(data, msgtype)
+    except SerdeError as error:
         if 'size mismatch' not in str(error):
             raise
-        return deserialize(data[:-_PADDING], msgtype)
+        return typestore.deserialize_cdr(data[:-_PADDING], msgtype)
 
 
 def padded_cdr(typestore: Any, message: object, msgtype: str) -> bytes:

@@ -55,19 +55,16 @@ class McapFile:
         except (OSError, ValueError) as error:
             reason = 'is empty' if isinstance(error, ValueError) else f'cannot be read ({error})'
             raise BagError(f'{path}: {reason}') from None
-
-    def close(self) -> None:
-        """Close the file."""
-        self._data.close()
-
-    def index(self) -> None:
-        """Find out what is where; what is wrong with the file is in ``damages``."""
         try:
             if self._read_summary():
                 return
         except Exception as error:  # of many kinds: the bytes may be anything
             self.damages.append(error_text(error))
         self._scan()
+
+    def close(self) -> None:
+        """Close the file."""
+        self._data.close()
 
     def _read_summary(self) -> bool:
         """Whether the summary says it all; any exception if it is damaged."""

@@ -74,8 +74,6 @@ class BagReader:
     @functools.cached_property
     def typestore(self) -> Typestore:
         """Types as the bag defines them; BagError if it defines none that make sense."""
-        if self.source is not None:
-            return self.source.typestore
         with damage(self.path):
             return _types_of(self.connections)
 
@@ -149,9 +147,7 @@ class BagReader:
     def deserialize(self, rawdata: bytes, typ: str) -> Any:
         """Decode a message; BagError if it does not fit the type."""
         with damage(self.path):
-            source = self.source
-            method = source.deserialize if source else self.typestore.deserialize_cdr
-            return decode(method, rawdata, typ)
+            return decode(self.typestore, rawdata, typ)
 
     def check_definition(self, msgtype: str, fields: Iterable[str]) -> None:
         """BagError if fields of a message type, or its stamp, are not what they are here."""
@@ -287,15 +283,15 @@ def _mcap_files(paths: Sequence[Path], damages: list[str], stack: ExitStack) -> 
     files = []
     for path in paths:
         try:
-            files.append(stack.enter_context(contextlib.closing(McapFile(path))))
+            file = stack.enter_context(contextlib.closing(McapFile(path)))
         except BagError as error:
             damages.append(str(error))
-    for file in files:
-        file.index()
+            continue
+        files.append(file)
         for number, text in enumerate(file.damages):
             if number == 0 and not file.complete:
                 text = _UNFINISHED.format(text)
-            damages.append(f'{file.path.name}: {text}')
+            damages.append(f'{path.name}: {text}')
     return files
 
 

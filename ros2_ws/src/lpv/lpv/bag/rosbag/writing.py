@@ -237,7 +237,7 @@ class BagWriter:
         if len(data) < 4 or not data[1] & 1:
             return data
         try:
-            message = decode(self.typestore.deserialize_cdr, data, msgtype)
+            message = decode(self.typestore, data, msgtype)
             return padded_cdr(self.typestore, message, msgtype)
         except Exception:  # many kinds; such a message is recorded as it came
             return data
