@@ -32,9 +32,9 @@ class SerializedMessage:
             fields[name] = values[0] if kinds[name][0] == Nodetype.BASE else values
         data = BagMessages(types, frame_id).cdr(msgtype, 0, fields)
         places, self._data = Layout(data, msgtype, types).fields, bytearray(data)
-        self._stamp, self._pieces = places['header.stamp.sec'].offset, []
+        self._stamp, self._pieces = places['header.stamp.sec'][1], []
         for name, values in numbers.items():
-            start, size = places[name].offset, places[name].size
+            size, start = places[name][0].itemsize, places[name][1]
             if size != values.nbytes:
                 raise ValueError(f'{name} has {size} bytes in the message, not {values.nbytes}')
             target = memoryview(self._data)[start : start + size]

@@ -1,7 +1,6 @@
 """Where the numbers of messages of one shape are: found once, then thousands are read at once."""
 
 import struct
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -28,26 +27,16 @@ class _NoLayout(Exception):
     """The message has no fixed shape, or is not understood."""
 
 
-@dataclass(frozen=True)
-class Field:
-    """Numbers at a fixed place."""
-
-    offset: int  # from the beginning of the message, representation identifier included [bytes]
-    dtype: str  # numPy's name of one number
-    count: int  # how many
-
-    @property
-    def size(self) -> int:
-        """Length of all of them [bytes]."""
-        return np.dtype(self.dtype).itemsize * self.count
-
-
 class Layout:
-    """Shape of one message and of all that are like it."""
+    """Shape of one message and of all that are like it.
+
+    ``fields`` are as those of `numpy.dtype`: type of the vector of all numbers of a field, and its
+    offset from the beginning of the message, representation identifier included [bytes].
+    """
 
     def __init__(self, data: bytes, msgtype: str, typestore: Typestore) -> None:
         self.size = len(data)
-        self.fields: dict[str, Field] = {}
+        self.fields: dict[str, tuple[np.dtype, int]] = {}
         self._data, self._typestore = bytes(data), typestore
         self._fixed = [(0, 2)]
         if data[:2] != _LITTLE_ENDIAN:
@@ -72,11 +61,11 @@ class Layout:
 
     def read(self, buffer: np.ndarray, starts: np.ndarray, name: str) -> np.ndarray:
         """Numbers of messages of this shape."""
-        field = self.fields[name]
-        if field.count == 0:
-            return np.empty((len(starts), 0), field.dtype)
-        found = rows(buffer, f'V{field.size}', starts + field.offset)
-        return found.view(field.dtype).reshape(len(starts), field.count)
+        vector, offset = self.fields[name]
+        if vector.itemsize == 0:
+            return np.empty((len(starts), 0), vector.base)
+        found = rows(buffer, f'V{vector.itemsize}', starts + offset)
+        return found.view(vector.base).reshape(len(starts), *vector.shape)
 
     def stamps(self, buffer: np.ndarray, starts: np.ndarray) -> np.ndarray:
         """Times of messages of this shape as nanoseconds, int64, shape (k,)."""
@@ -134,10 +123,11 @@ class Layout:
     def _numbers(self, path: str, kind: str, count: int) -> None:
         if kind not in _SIZES:
             raise _NoLayout
-        size = np.dtype(_SIZES[kind]).itemsize
+        number = np.dtype(_SIZES[kind])
         if count:
-            self._align(size)
-        self.fields[path] = Field(self._advance(size * count), _SIZES[kind], count)
+            self._align(number.itemsize)
+        start = self._advance(number.itemsize * count)
+        self.fields[path] = np.dtype((number, (count,))), start
 
 
 def find_layout(data: bytes, msgtype: str, typestore: Typestore) -> Layout | None:

@@ -135,12 +135,12 @@ class RecordTemplate:
     def __init__(self, typestore: Typestore, message: object, msgtype: str, channel: int) -> None:
         data = padded_cdr(typestore, message, msgtype)
         fields = Layout(data, msgtype, typestore).fields
-        self._fields = {name: field for name, field in fields.items() if field.count}
+        self._vectors = {name: vector for name, (vector, _) in fields.items() if vector.itemsize}
         self._record = record(channel, 0, data)
         places = {name: (kind, at) for name, (kind, at, *_) in (RECORD.fields or {}).items()}
-        for name, field in self._fields.items():
+        for name, vector in self._vectors.items():
             # Vectors as one piece: one copy in place of one for every element.
-            places[name] = (np.dtype(f'V{field.size}'), RECORD.itemsize + field.offset)
+            places[name] = (np.dtype(f'V{vector.itemsize}'), RECORD.itemsize + fields[name][1])
         kinds, offsets = zip(*places.values())
         self._dtype = np.dtype(
             {'names': list(places), 'formats': list(kinds), 'offsets': list(offsets),
@@ -160,14 +160,14 @@ class RecordTemplate:
         seconds = stamp // NANOSECONDS
         self._set(records, 'header.stamp.sec', seconds)
         self._set(records, 'header.stamp.nanosec', stamp - seconds * NANOSECONDS)
-        for name in self._fields:
+        for name in self._vectors:
             if not name.startswith('header.'):
                 self._set(records, name, values[name][chosen])
         return records
 
     def _set(self, records: np.ndarray, name: str, array: np.ndarray) -> None:
-        values = np.ascontiguousarray(array, self._fields[name].dtype)
-        if values.size != len(records) * self._fields[name].count:
+        values = np.ascontiguousarray(array, self._vectors[name].base)
+        if values.nbytes != len(records) * self._vectors[name].itemsize:
             raise ValueError(f'{name} has another size in the message')
         if len(values):
             records[name] = np.frombuffer(values, self._dtype[name])
