@@ -19,6 +19,7 @@ from lpv.bag.rosbag.output_folder import (
     read_run_file,
 )
 from lpv.bag.rosbag.writing import PRESETS, BagWriter
+from lpv.bag.run.record import ALARMS, CORRECTED, DIAGNOSTICS, STREAMS
 from lpv.core.monitoring.message_fields import ERROR, OK, WARN
 from lpv.core.support.errors import ConfigError
 from lpv.core.support.limits import AT_ONCE
@@ -30,10 +31,6 @@ from lpv_node.recorder.input import MOST, Heard, RecorderInput, Selection
 from lpv_node.recorder.stamp_sorter import WINDOW, StampSorter
 from lpv_node.status import diagnostics
 
-_TOPICS = [
-    *('joint_states', 'torque_command', 'state_estimate', 'fault_estimate'),
-    *('joint_states_corrected', 'fault_alarm', 'reference', 'ground_truth', '/diagnostics'),
-]
 SPECS = table("""
 output FOLDER        bag directory to create; if it exists, one with a number behind its name is
                      made
@@ -48,7 +45,7 @@ gains_file FILE      gains file of this run, copied into the bag as gains.yaml; 
 scenario_file FILE   scenario file of this run, copied into the bag as scenario.yaml; may be empty
 """) + (
     Entry('topics', "topics to record; relative names are resolved in the node's namespace",
-          _TOPICS),
+          [*STREAMS, CORRECTED, ALARMS, DIAGNOSTICS]),
     Entry('preset', 'compression', 'zstd_fast', choices=tuple(PRESETS)),
     Entry('exclude', 'patterns of topics that "all" leaves out, as of a shell, against full names',
           ['/rosout', '/parameter_events']),
