@@ -4,7 +4,7 @@ import csv
 import math
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from decimal import Decimal
 from itertools import chain
 from pathlib import Path
@@ -31,18 +31,13 @@ class ColumnMap:
     time: str  # column of the time
     time_unit: str  # key of `TIME_UNITS`
     start: float | None  # stamp of the first sample [s]; None keeps the times of the file as stamps
-    angle_unit: str  # key of `ANGLE_UNITS`, for positions and rates
     joints: dict  # columns of position, velocity and effort by joint name; the effort may be ''
-    units: dict = field(default_factory=dict)  # keys of `UNITS` by joint name, else the angle's
+    units: dict  # key of `UNITS` by joint name, for positions and rates
 
     @property
     def columns(self) -> list[str]:
         """All column names."""
         return [self.time, *(c for columns in self.joints.values() for c in columns if c)]
-
-    def unit(self, joint: str) -> str:
-        """Key of `UNITS`, for position and rate of a joint."""
-        return self.units.get(joint, self.angle_unit)
 
 
 def load_column_map(path: str | Path) -> ColumnMap:
@@ -62,14 +57,8 @@ def load_column_map(path: str | Path) -> ColumnMap:
         one.finish()
     if not joints:
         raise top.error('joints', 'must name at least one joint')
-    result = ColumnMap(
-        time.text('column'),
-        time.text('unit', 's', tuple(TIME_UNITS)),
-        start,
-        angle_unit,
-        joints,
-        units,
-    )
+    unit = time.text('unit', 's', tuple(TIME_UNITS))
+    result = ColumnMap(time.text('column'), unit, start, joints, units)
     time.finish()
     top.finish()
     return result
@@ -108,7 +97,7 @@ def read_samples(
     source: str | Path, columns: ColumnMap, delimiter: str, warnings: list[str]
 ) -> Iterator[tuple[Any, ...]]:
     """Stamps, positions, rates and efforts, one by one: a long recording is never in memory."""
-    unit, scales = TIME_UNITS[columns.time_unit], [UNITS[columns.unit(j)] for j in columns.joints]
+    unit, scales = TIME_UNITS[columns.time_unit], [UNITS[columns.units[j]] for j in columns.joints]
     vectors = tuple(zip(zip(*columns.joints.values()), (scales, scales, [1.0] * len(scales))))
     with opened(source, delimiter) as reader:
         header = [name.strip() for name in next(reader, [])]

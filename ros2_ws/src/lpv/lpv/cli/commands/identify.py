@@ -46,7 +46,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.columns:
         columns = load_column_map(bringup_file('columns', arguments.columns))
         for joint in arm.joints:
-            if joint.is_prismatic and columns.unit(joint.name) == 'deg':
+            if joint.is_prismatic and columns.units.get(joint.name) == 'deg':
                 field = f'joints.{joint.name}.unit'
                 raise ConfigError(field, 'must be m: it is prismatic', arguments.columns)
 

@@ -269,7 +269,7 @@ def _read_csv(
             raise IdentificationError(f'{path}: {text}')
     found = {name: columns.joints[name] for name in joints}
     found |= {f'column {name}': (name, '', '') for name in others}
-    units = {f'column {name}': columns.unit(joint) for name, joint in zip(others, joints)}
+    units = {f'column {name}': columns.units[joint] for name, joint in zip(others, joints)}
     chosen = replace(columns, start=_START, joints=found, units=columns.units | units)
     for stamp, *vectors in read_samples(path, chosen, ',', notes):
         stamps.append(stamp)
@@ -308,7 +308,7 @@ def _guess_columns(path: Path, joints: Sequence[str]) -> ColumnMap:
                 )
             names.append(match or '')
         found[joint] = tuple(names)
-    return ColumnMap(time, 's', 0.0, 'rad', found)
+    return ColumnMap(time, 's', 0.0, found, dict.fromkeys(joints, 'rad'))
 
 
 def _labels(path: Path, header: list[str], joints: Sequence[str]) -> Sequence[str]:
