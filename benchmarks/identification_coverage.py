@@ -16,8 +16,8 @@ from lpv.core.serial_arm.arm_file import load_arm
 from lpv.core.serial_arm.description import JointFriction, SerialArm
 from lpv.core.serial_arm.urdf_chain import read_urdf_chain
 from lpv.core.support.resources import bringup_file
-from lpv.identify.estimation.assembly import parameter_map
 from lpv.identify.estimation.workshop import Workshop
+from lpv.identify.model.prior import parameter_map
 from lpv.identify.motions import plan_excitation
 
 DURATION, RATE = 30.0, 125.0
@@ -43,7 +43,7 @@ def main(path: str, runs: int) -> None:
     for _ in range(runs):
         recording = simulate(arm, trajectory, RATE, SensorNoise(), rng)
         workshop = Workshop(arm, [recording])
-        fit, _ = workshop.fit()
+        fit = workshop.fit()
         truth = parameter_map(workshop.base, workshop.n) @ arm.parameter_vector()
         sigma = np.sqrt(np.diag(fit.covariance))
         used = sigma > 0.0

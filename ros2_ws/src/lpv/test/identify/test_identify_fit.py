@@ -22,10 +22,11 @@ from lpv.identify.errors import IdentificationError
 from lpv.identify.estimation import assembly, payload
 from lpv.identify.estimation.assembly import with_joints
 from lpv.identify.estimation.gains import rescaled
-from lpv.identify.estimation.identification import Options, identify
+from lpv.identify.estimation.identification import identify
 from lpv.identify.estimation.mistakes import find_mistakes
 from lpv.identify.estimation.torque_error import calibrate
 from lpv.identify.estimation.workshop import Workshop
+from lpv.identify.model.prior import parameter_map
 from lpv.identify.model.rigid_body import joint_torques
 from lpv.identify.motions import plan_excitation, random_trajectory
 from lpv.identify.recordings.filters import low_pass
@@ -94,7 +95,7 @@ def test_given_friction_that_falls_too_far_when_fitted_then_the_arm_can_be_read(
     falling = [JointFriction(0.0, -2.8, 3.0, 3.0)] * 3
     slow = with_joints(arm, friction=falling, limits=[JointLimits(-2.5, 2.5, 1.0, 100.0)] * 3)
     workshop = Workshop(slow, [simulated(slow, rate=60.0)])
-    found = workshop.arm_of(*workshop.fit())
+    found = workshop.arm_of(workshop.fit())
     assert all(joint.friction.viscous < 0.0 for joint in found.joints)
     assert parse_arm(to_mapping(found)) == found
     # What nobody could read is not written.
@@ -111,8 +112,8 @@ def test_given_many_noises_when_fitted_then_intervals_hold_the_truth(arm, simula
     inside = []
     for seed in range(12):
         workshop = Workshop(arm, [simulated(arm, seed, rate=60.0)])
-        fit, _ = workshop.fit()
-        truth = assembly.parameter_map(workshop.base, 3) @ arm.parameter_vector()
+        fit = workshop.fit()
+        truth = parameter_map(workshop.base, 3) @ arm.parameter_vector()
         used = np.diag(fit.covariance) > 0.0
         width = stats.norm.ppf(0.975) * np.sqrt(np.diag(fit.covariance)[used])
         inside.append(np.abs(fit.parameters - truth)[used] < width)
@@ -154,7 +155,7 @@ def test_given_efforts_without_gravity_when_identified_then_it_is_found(arm, sim
         assert found.arm.effort_includes_gravity is (given is without)
         (said,) = (one for one in found.warnings if 'the weight' in one)
         assert said.startswith(f'efforts {text} ') and said.endswith('taken so')
-        kept = identify(given, [recording], Options(weight_is_known=True))
+        kept = identify(given, [recording], weight_is_known=True)
         assert kept.arm.effort_includes_gravity == given.effort_includes_gravity
     planar = replace(arm, gravity=1e-3)
     assert not identify(planar, [simulated(planar, 2, rate=30.0)]).warnings
@@ -368,7 +369,7 @@ def test_given_few_samples_or_no_motion_then_it_is_said(arm, recording, motion, 
             identify(arm, [bad])
     # Efforts that are next to nothing say nothing of the masses; that is said once.
     weak = replace(recording.rows(slice(0, 1200, 3)), effort=1e-12 * effort)
-    found = identify(arm, [weak], Options(refit=True))
+    found = identify(arm, [weak], refit=True)
     assert ' '.join(found.warnings).count('hardly driven') == 1
     assert np.isfinite(found.arm.covariance.matrix()).all()
     # A warning names one joint at rest.

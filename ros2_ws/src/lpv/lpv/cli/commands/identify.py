@@ -18,7 +18,7 @@ from lpv.core.serial_arm.description import SerialArm
 from lpv.core.support.errors import ConfigError
 from lpv.core.support.resources import bringup_file
 from lpv.identify.estimation.gains import rescaled
-from lpv.identify.estimation.identification import STEPS, Options, identify
+from lpv.identify.estimation.identification import STEPS, identify
 from lpv.identify.estimation.mistakes import find_mistakes
 from lpv.identify.estimation.payload import identify_payload, with_payload
 from lpv.identify.estimation.torque_error import calibrate
@@ -64,7 +64,6 @@ def run(arguments: argparse.Namespace) -> int:
     else:
         tests = [read(path) for path in arguments.test]
         weight_is_known = arguments.without_gravity or arguments.with_gravity
-        options = Options(arguments.train_share, arguments.refit, weight_is_known)
         with console.status('identifying') as status:
             number = count(1)
 
@@ -74,7 +73,10 @@ def run(arguments: argparse.Namespace) -> int:
                 if not console.is_terminal:
                     console.print(said)
 
-            result = identify(arm, recordings, options, tests, step)
+            result = identify(
+                *(arm, recordings, tests, step),
+                *(arguments.train_share, arguments.refit, weight_is_known),
+            )
         print(table(result))
         _warn(result.warnings)
         arm = result.arm

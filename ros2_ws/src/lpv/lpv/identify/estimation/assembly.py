@@ -19,7 +19,7 @@ from lpv.identify.errors import IdentificationError
 from lpv.identify.estimation.regression import Fit
 from lpv.identify.estimation.robust import roots
 from lpv.identify.model.friction import TERMS, least_viscous
-from lpv.identify.model.prior import friction_prior, structural_prior
+from lpv.identify.model.prior import parameter_map
 from lpv.identify.model.rigid_body import STANDARD, BaseParameters
 
 _MARGIN = 1e-7  # smallest eigenvalue of a pseudo-inertia: ten times the tolerance of the solver
@@ -30,39 +30,13 @@ def _columns(term: str, joints: int) -> np.ndarray:
     return (STANDARD + TERMS.index(term)) * joints + np.arange(joints)
 
 
-def parameter_map(base: BaseParameters, joints: int) -> np.ndarray:
-    """Matrix T that leads from `SerialArm.parameter_vector` to the parameters of a `Fit`."""
-    terms, structural = len(TERMS), STANDARD * joints
-    result = np.zeros((base.size + terms * joints, structural + terms * joints))
-    result[: base.size, :structural] = base.combination
-    for k, term in enumerate(TERMS):
-        result[base.size + terms * np.arange(joints) + k, _columns(term, joints)] = 1.0
-    return result
-
-
-def prior_of_all(arm: SerialArm) -> tuple[np.ndarray, np.ndarray]:
-    """Mean and deviation of all parameters of an arm before the data."""
-    pairs = zip(structural_prior(arm), friction_prior(arm))
-    mean, sigma = (np.append(links, friction.T) for links, friction in pairs)
-    return mean, sigma
-
-
-def consistent_parameters(
-    arm: SerialArm,
-    known: tuple[np.ndarray, np.ndarray],
-    base: BaseParameters,
-    fit: Fit,
-    strength: float,
-) -> np.ndarray:
-    """Physically consistent `SerialArm.parameter_vector` that fits best, shape (15 n,).
-
-    ``known`` is `prior_of_all` of the arm.
-    """
-    n, (mean, sigma) = len(arm.joints), known
+def consistent_parameters(arm: SerialArm, base: BaseParameters, fit: Fit) -> np.ndarray:
+    """Physically consistent `SerialArm.parameter_vector` that fits best, shape (15 n,)."""
+    n, (mean, sigma) = len(arm.joints), fit.prior.whole
     lower, upper = np.full(len(mean), -np.inf), np.full(len(mean), np.inf)
     lower[N_INERTIAL * n :] = 0.0  # rotors and friction
     lower[_columns('offset', n)] = -np.inf
-    upper[_columns('load', n)] = float(fit.with_load)
+    upper[_columns('load', n)] = 1.0
     passive = np.eye(len(mean))
     limits = np.array(arm.velocity_limit)
     passive[_columns('viscous', n), _columns('coulomb', n)] = least_viscous(fit.slope, limits)
@@ -70,7 +44,7 @@ def consistent_parameters(
     root = root @ parameter_map(base, n) @ passive
     target = inverse @ fit.right
     mean = np.linalg.solve(passive, mean)
-    held = sigma / np.sqrt(strength)
+    held = sigma / np.sqrt(fit.prior.strength)
     return passive @ _nearest_consistent(root, target, mean, held, n, (lower, upper))
 
 
@@ -161,7 +135,7 @@ def covariance_of_all(
     arm: SerialArm, base: BaseParameters, fit: Fit, determined: int
 ) -> ParameterCovariance:
     """Covariance of all parameters: what the fit says of its own ones, and the prior beside."""
-    _, sigma = prior_of_all(arm)
+    _, sigma = fit.prior.whole
     size = len(fit.parameters)
     turn, upper = np.linalg.qr((parameter_map(base, len(arm.joints)) * sigma).T, mode='complete')
     fitted, others = turn[:, :size], turn[:, size:]  # directions in units of sigma

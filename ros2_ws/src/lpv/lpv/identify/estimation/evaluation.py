@@ -8,7 +8,7 @@ import numpy as np
 from lpv.core.serial_arm.description import SerialArm
 from lpv.identify.estimation.regression import Fit, Rows, model_torque
 from lpv.identify.model.friction import TERMS
-from lpv.identify.model.prior import structural_prior
+from lpv.identify.model.prior import parameter_map
 from lpv.identify.model.rigid_body import BaseParameters
 from lpv.identify.recordings.filters import causal_low_pass, low_pass
 from lpv.identify.recordings.motion import Bandwidths
@@ -111,8 +111,8 @@ def determine(base: BaseParameters, fit: Fit, arm: SerialArm) -> Determination:
     names += [f'{joint}: {term}' for joint in arm.joint_names for term in TERMS]
     used = np.diag(fit.normal) > 0.0
     sigma = np.sqrt(np.maximum(np.diag(fit.covariance), 0.0))
-    _, width = structural_prior(arm)
-    prior = np.sqrt(np.sum((base.combination * width) ** 2, axis=1))
+    turn = parameter_map(base, len(arm.joints))[: base.size]
+    prior = np.sqrt(np.sum((turn * fit.prior.whole[1]) ** 2, axis=1))
     friction = np.abs(fit.friction)
     size = np.maximum(friction[:, [0, 1, 2, 1]], fit.scale[:, None] * 0.5)
     size[:, TERMS.index('load')] = np.maximum(size[:, TERMS.index('load')], 0.05)

@@ -32,10 +32,10 @@ def estimate_gains(rows: Sequence[Rows], bands: Bandwidths, prior: Prior) -> np.
     expected = _sizes(rows, prior.mean)
     for _ in range(_ROUNDS):
         scaled = [replace(one, effort=one.effort * gains) for one in rows]
-        fit = fit_parameters(scaled, bands, prior, with_load=False)
+        fit = fit_parameters(scaled, bands, prior)
         found = _sizes(rows, fit.parameters)
         common = float(np.linalg.norm(expected) / max(float(np.linalg.norm(found)), 1e-12))
-        problem = Problem(scaled, bands, with_load=False)
+        problem = Problem(scaled, bands)
         design = problem.design(fit.slope, fit.parameters)
         full = np.concatenate([design, (design @ fit.parameters)[:, :, None] * np.eye(n)], axis=2)
         weight = problem.counts / fit.scale**2

@@ -29,15 +29,6 @@ STEPS = 9
 
 
 @dataclass(frozen=True)
-class Options:
-    """What the user says of recordings and fit."""
-
-    train_share: float = 0.6  # of every recording; the rest is held back
-    refit: bool = False  # write the parameters of a fit to all samples
-    weight_is_known: bool = False  # keep what the arm says on gravity in the efforts
-
-
-@dataclass(frozen=True)
 class Identification:
     """Identified arm, and how well it does on data that were held back."""
 
@@ -57,38 +48,39 @@ class Identification:
 def identify(
     arm: SerialArm,
     recordings: Sequence[Recording],
-    options: Options | None = None,
-    tests: Sequence[Recording] = (),
+    tests: Sequence[Recording] = (),  # held back; otherwise the rest of every recording is
     report: Callable[[str], None] = lambda step: None,
+    train_share: float = 0.6,  # of every recording
+    refit: bool = False,  # write the parameters of a fit to all samples
+    weight_is_known: bool = False,  # keep what the arm says on gravity in the efforts
 ) -> Identification:
     """Identify an arm, with rough inertias, from recordings; IdentificationError."""
-    options = options or Options()
     report('preparing the motion')
-    workshop = Workshop(arm, recordings, 1.0 if tests else options.train_share)
+    workshop = Workshop(arm, recordings, 1.0 if tests else train_share)
     workshop.estimate_gains()
     report('looking for mistakes of the set-up')
     # A load it finds by itself.
     mistakes = [m for m in find_mistakes(workshop.arm, recordings) if m.kind != 'load']
     workshop.warnings += [m.text for m in mistakes]
     # With gravity from elsewhere, or other joints' efforts, the weight cannot be judged.
-    if [m.kind for m in mistakes] == ['weight'] and not options.weight_is_known:
+    if [m.kind for m in mistakes] == ['weight'] and not weight_is_known:
         workshop.change_weight()
         mistakes.clear()
         workshop.warnings[-1] += '; taken so'
     arm = workshop.arm
     workshop.choose(report)
     report('fitting the parameters')
-    fit, strength = workshop.fit()
-    found = workshop.arm_of(fit, strength)
+    fit = workshop.fit()
+    found = workshop.arm_of(fit)
     held_back = workshop.test_rows(tests)
     predictions, before = (
         [predict(rows, fit_of(one, workshop.base, fit), workshop.bands) for rows in held_back]
         for one in (found, arm)
     )
-    if options.refit:
+    if refit:
         workshop.share = 1.0
-        fit, _ = workshop.fit(strength)
-        found = workshop.arm_of(fit, strength)
+        fit = workshop.fit(fit.prior)
+        found = workshop.arm_of(fit)
     report('measuring what is uncertain')
     determination = determine(workshop.base, fit, arm)
     sensing = sense(recordings, workshop.rate_delay, workshop.joint_delays)

@@ -69,7 +69,7 @@ class Fit:
     normal: np.ndarray  # normal matrix of the weighted rows, without the prior
     right: np.ndarray  # its right-hand side: normal @ parameters = right without a prior
     covariance: np.ndarray  # of the parameters, with correlated residuals accounted for
-    with_load: bool  # whether friction may depend on the load
+    prior: Prior  # with which it was made
 
     @property
     def base(self) -> np.ndarray:
@@ -92,11 +92,9 @@ def model_torque(rows: Rows, fit: Fit) -> np.ndarray:
 class Problem:
     """Filtered rows of all segments; the columns of friction change with slopes and load."""
 
-    def __init__(self, rows: Sequence[Rows], bands: Bandwidths, with_load: bool):
-        self._rows, self._bands, self._with_load = rows, bands, with_load
+    def __init__(self, rows: Sequence[Rows], bands: Bandwidths):
+        self._rows, self._bands = rows, bands
         self.n, self.size = rows[0].effort.shape[1], rows[0].base.shape[2]
-        terms = [with_load or term != 'load' for term in TERMS]
-        self.used = np.append(np.ones(self.size, bool), np.tile(terms, self.n))
         self.speed_limit = rows[0].speed_limit
         self.base = np.concatenate([self._keep(r.filtered_base(bands), r) for r in rows])
         self.effort = np.concatenate(
@@ -116,8 +114,7 @@ class Problem:
 
     def _loads(self, parameters: np.ndarray) -> list[np.ndarray]:
         """Magnitude of the rigid-body torque of each joint, for each segment."""
-        beta = parameters[: self.size] * self._with_load
-        return [np.abs(predicted(rows.base, beta)) for rows in self._rows]
+        return [np.abs(predicted(rows.base, parameters[: self.size])) for rows in self._rows]
 
     def design(self, slope: np.ndarray, parameters: np.ndarray) -> np.ndarray:
         """Regressor of all parameters, shape (rows, n, base + 4 n), with the load of known ones."""
@@ -157,11 +154,10 @@ def fit_parameters(
     bands: Bandwidths,
     prior: Prior,
     slope: np.ndarray | None = None,  # shape (n,); searched if not given
-    with_load: bool = True,  # whether friction may depend on it
     with_covariance: bool = False,
 ) -> Fit:
     """Fit base parameters, friction and slopes: Huber's estimate with one scale for each joint."""
-    problem = Problem(rows, bands, with_load)
+    problem = Problem(rows, bands)
     n, search = problem.n, slope is None
     slope = prior.slope * np.ones(n) if slope is None else slope.copy()
     parameters = np.zeros(problem.size + len(TERMS) * n)
@@ -183,7 +179,7 @@ def fit_parameters(
         full = problem.with_slopes(design, slope, parameters)
         covariance = _uncertainty(problem, full, residual, weights, prior)
     normal, right = normal_equations(design, problem.effort, weights)
-    return Fit(parameters, slope, scale, normal, right, covariance, with_load)
+    return Fit(parameters, slope, scale, normal, right, covariance, prior)
 
 
 def _solve(
@@ -191,7 +187,7 @@ def _solve(
 ) -> np.ndarray:
     """Solution without the terms of friction that would drive a joint."""
     passive, positive = problem.constraints(slope)
-    active = problem.used.copy()
+    active = np.ones(len(right), bool)
     matrix, right = passive.T @ matrix @ passive, passive.T @ right
     while True:
         result = np.zeros(len(active))
@@ -213,8 +209,7 @@ def _next_slopes(
     matrix, right = normal_equations(full, problem.effort, weight, prior)
     matrix[count:, count:] += _SLOPE_HELD * np.eye(n)
     right[count:] += _SLOPE_HELD * np.log(prior.slope / slope)
-    used = np.append(problem.used, np.ones(n, bool))
-    change = (invert_normal(matrix[np.ix_(used, used)]) @ right[used])[-n:]
+    change = (invert_normal(matrix) @ right)[-n:]
     return np.clip(slope * np.exp(np.clip(change, -_STEP, _STEP)), *SLOPES)
 
 

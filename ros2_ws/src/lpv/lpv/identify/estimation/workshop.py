@@ -10,7 +10,6 @@ from lpv.core.support.limits import MAX_GAP
 from lpv.identify.estimation.assembly import (
     consistent_parameters,
     fit_of,
-    prior_of_all,
     with_joints,
     with_parameters,
 )
@@ -19,7 +18,7 @@ from lpv.identify.estimation.evaluation import predict
 from lpv.identify.estimation.gains import estimate_gains
 from lpv.identify.estimation.regression import Fit, Rows, fit_parameters
 from lpv.identify.estimation.robust import bounded_squares, predicted
-from lpv.identify.model.prior import Prior, base_prior
+from lpv.identify.model.prior import HELD_LOAD, Prior, base_prior
 from lpv.identify.model.rigid_body import RigidBody, find_base_parameters
 from lpv.identify.recordings.filters import derivative
 from lpv.identify.recordings.motion import (
@@ -61,7 +60,7 @@ class Workshop:
         self.bands = find_bandwidths(self.segments)
         self.model = RigidBody(arm)
         self.base = find_base_parameters(self.model)
-        self.prior, self._known = base_prior(arm, self.base), prior_of_all(arm)
+        self.prior = base_prior(arm, self.base, load=HELD_LOAD)
         # Measured rates, if they have less noise in the band than derivatives of positions.
         rates = [s.velocity for s in self.segments if s.velocity is not None]
         turning = 2.0 * np.pi * self.bands.analysis / np.sqrt(3.0)
@@ -71,7 +70,6 @@ class Workshop:
         self.rate_delay, self.effort_delay, self.joint_delays = np.zeros((3, self.n))
         if rates:
             self.rate_delay = rate_delays(self.segments, self.bands)
-        self.with_load = False
         self.strength = 1.0
         self.rows: list[Rows] = []
         self._prepare()
@@ -128,7 +126,7 @@ class Workshop:
         report('choosing the bandwidth of the efforts')
         band = _effort_band(self.train_rows(), self.bands, self.prior)
         self.bands = replace(self.bands, effort=band)
-        self.with_load = True
+        self.prior = base_prior(self.arm, self.base)
         report('choosing the weight of the parameters given')
         errors = self._errors(_STRENGTHS)
         # The largest of those that do equally well.
@@ -141,8 +139,8 @@ class Workshop:
     ) -> Fit:
         """Fit whose parameters belong to bodies of positive mass."""
         prior = self.prior.times(strength)
-        fit = fit_parameters(rows, self.bands, prior, slope, with_load=self.with_load)
-        return fit_of(self.arm_of(fit, strength), self.base, fit)
+        fit = fit_parameters(rows, self.bands, prior, slope)
+        return fit_of(self.arm_of(fit), self.base, fit)
 
     def _errors(self, strengths: Sequence[float]) -> np.ndarray:
         """Mean logarithms of the joints' mean square errors [(N m)^2], by strength of the prior.
@@ -186,13 +184,11 @@ class Workshop:
         if self._errors([self.strength]) > before - _EQUAL:
             self.effort_delay, self.rows = np.zeros(self.n), kept
 
-    def fit(self, strength: float | None = None) -> tuple[Fit, float]:
-        """Fit with the prior, and its strength, which is that of an earlier fit if given."""
+    def fit(self, prior: Prior | None = None) -> Fit:
+        """Fit with the prior of an earlier one, if given."""
         rows = self.train_rows()
-        if strength is None:
-            strength = self._strength(rows)
-        prior = self.prior.times(strength)
-        return fit_parameters(rows, self.bands, prior, with_covariance=True), strength
+        prior = prior or base_prior(self.arm, self.base).times(self._strength(rows))
+        return fit_parameters(rows, self.bands, prior, with_covariance=True)
 
     def _strength(self, rows: Sequence[Rows]) -> float:
         """Strength of the prior, which is strong where a joint is hardly driven; that is said."""
@@ -212,10 +208,9 @@ class Workshop:
             return HELD
         return self.strength
 
-    def arm_of(self, fit: Fit, strength: float) -> SerialArm:
+    def arm_of(self, fit: Fit) -> SerialArm:
         """The arm with the parameters of a fit, physically consistent."""
-        values = consistent_parameters(self.arm, self._known, self.base, fit, strength)
-        return with_parameters(self.arm, values, fit.slope)
+        return with_parameters(self.arm, consistent_parameters(self.arm, self.base, fit), fit.slope)
 
 
 def _divided(rows: Rows, share: float) -> tuple[Rows, Rows]:
@@ -244,7 +239,7 @@ def _effort_band(rows: Sequence[Rows], bands: Bandwidths, prior: Prior) -> float
     tried = [b for b in _EFFORT_BANDS[::-1] if b < 0.15 / rows[0].step and _ends(rows, b)]
     for band in (np.inf, *tried):
         trial = replace(bands, effort=band)
-        fit = fit_parameters(rows, trial, prior, with_load=False)
+        fit = fit_parameters(rows, trial, prior)
         found = [predict(one, fit, trial) for one in rows]
         error, counts = (
             np.concatenate([getattr(p, x) for p in found]) for x in ('residual', 'counts')
