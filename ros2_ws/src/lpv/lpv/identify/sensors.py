@@ -101,7 +101,8 @@ def noise_deviation(signals: Sequence[np.ndarray], times: Sequence[np.ndarray] =
     times = times or [np.arange(len(signal)) for signal in signals]
     changes = np.concatenate([_differences(*pair) for pair in zip(signals, times)])
     # A quantized signal at rest does not change; the median would be 0 there.
-    robust, usual = robust_scale(changes), np.quantile(changes, (0.02, 0.98), axis=0)
+    robust = robust_scale(changes, np.ones(changes.shape, bool))
+    usual = np.quantile(changes, (0.02, 0.98), axis=0)
     spread = np.sqrt(np.mean(np.clip(changes, *usual) ** 2, axis=0))
     return np.where(robust > 0.0, robust, spread)
 

@@ -43,8 +43,8 @@ def _delays(pairs: Sequence[_Pair]) -> np.ndarray:
     result = np.zeros(early.shape[1])
     for j in np.flatnonzero(np.ptp(early, axis=0) >= 1e-9):
         columns = np.column_stack([early[:, j], -slope[:, j], np.ones(len(early))])
-        target = late[:, j, None]
-        solution, _, _ = robust_fit(columns[:, None], target, np.ones(1), rounds=5, least=1e-12)
+        target, ones = late[:, j, None], np.ones((len(late), 1))
+        solution, *_ = robust_fit(columns[:, None], target, ones, ones[0], rounds=5, least=1e-12)
         if 0.6 < solution[0] < 1.6:  # otherwise the one does not follow from the other
             result[j] = np.clip(solution[1] / solution[0], -MAX_GAP, MAX_GAP)
     return result

@@ -9,7 +9,7 @@ import numpy as np
 from lpv.core.serial_arm.description import N_INERTIAL, SerialArm
 from lpv.identify.estimation.assembly import with_joints, with_parameters
 from lpv.identify.estimation.regression import Problem, Rows, fit_parameters
-from lpv.identify.estimation.robust import invert_normal, normal_equations, predicted
+from lpv.identify.estimation.robust import normal_equations, predicted, solve_normal
 from lpv.identify.model.friction import TERMS
 from lpv.identify.model.prior import Prior
 from lpv.identify.recordings.motion import Bandwidths
@@ -45,7 +45,7 @@ def estimate_gains(rows: Sequence[Rows], bands: Bandwidths, prior: Prior) -> np.
         # Ratios only: the scale of all, by the joints that carry most, is held.
         share = found / max(float(found.sum()), 1e-12)
         matrix[-n:, -n:] += 1e3 * np.trace(matrix[-n:, -n:]) * np.outer(share, share)
-        step = (invert_normal(matrix) @ right)[-n:]
+        step = solve_normal(matrix, right)[-n:]
         change = np.clip(step, -_STEP, _STEP) - np.clip(np.log(common), -_STEP, _STEP)
         gains = gains * np.exp(-change)
         if np.max(np.abs(change)) < 1e-3:

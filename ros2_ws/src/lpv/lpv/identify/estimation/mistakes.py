@@ -16,7 +16,7 @@ from lpv.core.serial_arm.chain import compile_chain
 from lpv.core.serial_arm.description import N_INERTIAL, SerialArm
 from lpv.core.serial_arm.diagnosis.parameter_error import model_error, usual_load
 from lpv.core.serial_arm.dynamics.payload import payload_parameters
-from lpv.identify.estimation.robust import HUBER, predicted, robust_fit
+from lpv.identify.estimation.robust import HUBER, predicted, robust_fit, solve_normal
 from lpv.identify.model.friction import SLOPE, friction_columns, join_columns, least_viscous
 from lpv.identify.model.prior import Prior, base_prior
 from lpv.identify.model.rigid_body import RigidBody, find_base_parameters
@@ -252,16 +252,11 @@ class _Judge:
         # Huber's estimate of all parameters with the prior; residuals, scale of each joint.
         effort = self._filtered(setup, setup.effort)
         spread = np.std(effort, axis=0)
-        least, negative = _MISSED * spread + 1e-9, np.zeros(len(passive), bool)
-        while True:
-            design[:, :, negative], passive = 0.0, passive & ~negative
-            solution, residual, scale = robust_fit(
-                design, effort, np.maximum(spread, least), prior,
-                rounds=4, share=self._share, least=least, counts=setup.moves,
-            )  # fmt: skip
-            negative = passive & (solution < 0.0)
-            if not negative.any():
-                break
+        least = _MISSED * spread + 1e-9
+        solution, residual, _, scale = robust_fit(
+            *(design, effort, setup.moves.astype(float), np.maximum(spread, least), prior),
+            rounds=4, share=self._share, least=least, solve=partial(solve_normal, positive=passive),
+        )  # fmt: skip
         beta, off = solution[: self._size], solution - prior.mean
         # Single parameters may be far off, hardly the torques of the whole arm.
         sizes = [float(np.linalg.norm(predicted(regressor, b))) + 1e-9 for b in (beta, self._mean)]

@@ -9,7 +9,7 @@ from lpv.core.serial_arm.chain import body_parameters
 from lpv.core.serial_arm.description import N_INERTIAL, LinkInertia, SerialArm
 from lpv.identify.errors import IdentificationError
 from lpv.identify.estimation.autocorrelation import estimate_covariance
-from lpv.identify.estimation.robust import huber, invert_normal, normal_matrix, robust_fit
+from lpv.identify.estimation.robust import invert_normal, normal_matrix, robust_fit
 from lpv.identify.estimation.torque_error import model_residual
 from lpv.identify.model.rigid_body import RigidBody
 from lpv.identify.recordings.filters import derivative, low_pass
@@ -38,16 +38,19 @@ def identify_payload(arm: SerialArm, recordings: Sequence[Recording]) -> Payload
     design, rest = (np.concatenate(part) for part in zip(*parts))
     scale = np.maximum(np.median(np.abs(rest - np.median(rest, axis=0)), axis=0), 1e-6)
     linear, turning = np.delete(design, np.s_[4:N_INERTIAL], axis=2), 0.0 * rest
+    ones, counts = np.ones(rest.shape), np.ones(rest.shape, bool)
     for _ in range(4):  # the inertia of a point mass at the centre is known with it
-        solution, residual, last = robust_fit(linear, rest - turning, scale, bound=_HUBER)
+        solution, residual, weight, last = robust_fit(
+            linear, rest - turning, ones, scale, bound=_HUBER
+        )
         mass = max(float(solution[0]), 1e-6)
         point = body_parameters(mass, solution[1:4] / mass, np.zeros((3, 3)))
         turning = design[:, :, 4:N_INERTIAL] @ point[4:]
     mass, center = float(solution[0]), solution[1:4] / solution[0]
-    weight = huber(residual / last, _HUBER) / last**2
+    weight = weight / last**2
     root, inverse = np.sqrt(weight), invert_normal(normal_matrix(linear, weight))
     data = linear * root[:, :, None], residual * root, inverse
-    lengths, counts = [len(one) for _, one in parts], np.ones(residual.shape, bool)
+    lengths = [len(one) for _, one in parts]
     variances = np.diag(estimate_covariance(*data, lengths, counts))
     sigma = np.sqrt(np.maximum(variances, np.diag(inverse)))  # that of white errors, at least
     if not mass > 2.0 * sigma[0]:

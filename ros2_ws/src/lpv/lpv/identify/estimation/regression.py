@@ -6,6 +6,7 @@ zero-phase low-pass filter, so accelerations are derivatives of smoothed rates a
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -13,12 +14,12 @@ from scipy.linalg import block_diag
 from lpv.core.serial_arm.description import coulomb_direction
 from lpv.identify.estimation.autocorrelation import estimate_covariance
 from lpv.identify.estimation.robust import (
-    huber,
     invert_normal,
     normal_equations,
     normal_matrix,
     predicted,
-    robust_scale,
+    robust_fit,
+    solve_normal,
 )
 from lpv.identify.model.friction import (
     SLOPES,
@@ -166,13 +167,10 @@ def fit_parameters(
         if search and sweep:
             slope = _next_slopes(problem, slope, parameters, weight / scale**2, prior)
         design = problem.design(slope, parameters)
-        for _ in range(2):
-            equations = normal_equations(design, problem.effort, weight / scale**2, prior)
-            parameters = _solve(problem, slope, *equations)
-            residual = problem.effort - predicted(design, parameters)
-            scale = robust_scale(residual, counts=problem.counts)
-            scale = np.maximum(scale, 1e-9 + 1e-6 * np.max(scale))
-            weight = problem.counts * huber(residual / scale)
+        parameters, residual, weight, scale = robust_fit(
+            *(design, problem.effort, weight, scale, prior),
+            rounds=2, solve=partial(_solve, problem, slope),
+        )  # fmt: skip
     weights = weight / scale**2
     covariance = np.zeros((len(parameters), len(parameters)))
     if with_covariance:
@@ -187,15 +185,7 @@ def _solve(
 ) -> np.ndarray:
     """Solution without the terms of friction that would drive a joint."""
     passive, positive = problem.constraints(slope)
-    active = np.ones(len(right), bool)
-    matrix, right = passive.T @ matrix @ passive, passive.T @ right
-    while True:
-        result = np.zeros(len(active))
-        result[active] = invert_normal(matrix[np.ix_(active, active)]) @ right[active]
-        negative = positive & (result < 0.0)
-        if not negative.any():
-            return passive @ result
-        active &= ~negative
+    return passive @ solve_normal(passive.T @ matrix @ passive, passive.T @ right, positive)
 
 
 def _next_slopes(
@@ -209,7 +199,7 @@ def _next_slopes(
     matrix, right = normal_equations(full, problem.effort, weight, prior)
     matrix[count:, count:] += _SLOPE_HELD * np.eye(n)
     right[count:] += _SLOPE_HELD * np.log(prior.slope / slope)
-    change = (invert_normal(matrix) @ right)[-n:]
+    change = solve_normal(matrix, right)[-n:]
     return np.clip(slope * np.exp(np.clip(change, -_STEP, _STEP)), *SLOPES)
 
 

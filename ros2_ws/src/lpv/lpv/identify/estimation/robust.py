@@ -1,5 +1,7 @@
 """Huber's estimates of linear models by normal equations, and their scale."""
 
+from collections.abc import Callable
+
 import numpy as np
 
 from lpv.identify.model.prior import Prior
@@ -9,16 +11,11 @@ HUBER = 3.0
 
 
 def robust_scale(
-    residual: np.ndarray,
-    least: np.ndarray | float = 0.0,
-    counts: np.ndarray | None = None,  # which residuals do, of the same shape
+    residual: np.ndarray, counts: np.ndarray, least: np.ndarray | float = 0.0
 ) -> np.ndarray:
-    """Standard deviation of each column by its median magnitude, at least ``least``."""
-    if counts is None:
-        median = np.median(np.abs(residual), axis=0)
-    else:
-        pairs = zip(np.abs(residual.T), counts.T)
-        median = np.array([np.median(r[one]) if one.any() else 0.0 for r, one in pairs])
+    """Standard deviation of each column by the median magnitude of those that count."""
+    pairs = zip(np.abs(residual.T), counts.T)
+    median = np.array([np.median(r[one]) if one.any() else 0.0 for r, one in pairs])
     return np.maximum(median / 0.6745, least)
 
 
@@ -29,7 +26,7 @@ def huber(ratio: np.ndarray, bound: float = HUBER) -> np.ndarray:
 
 def bounded_squares(error: np.ndarray, counts: np.ndarray) -> np.ndarray:
     """Sum over the samples that count of each column's squares, in which no contact decides."""
-    bound = 4.0 * robust_scale(error, counts=counts)
+    bound = 4.0 * robust_scale(error, counts)
     return np.sum(np.clip(error, -bound, bound) ** 2 * counts, axis=0)
 
 
@@ -73,24 +70,38 @@ def invert_normal(matrix: np.ndarray) -> np.ndarray:
     return root.T @ root
 
 
+def solve_normal(
+    matrix: np.ndarray, right: np.ndarray, positive: np.ndarray | bool = False
+) -> np.ndarray:
+    """Solution of normal equations; those of ``positive`` parameters that were negative are 0."""
+    active = np.ones(len(right), bool)
+    while True:
+        solution = np.zeros(len(right))
+        solution[active] = invert_normal(matrix[np.ix_(active, active)]) @ right[active]
+        negative = positive & (solution < 0.0)
+        if not negative.any():
+            return solution
+        active &= ~negative
+
+
 def robust_fit(
     design: np.ndarray,  # shape (rows, n, parameters)
     target: np.ndarray,  # shape (rows, n)
+    weight: np.ndarray,  # of the residuals, to begin with; 0 where they do not count; (rows, n)
     scale: np.ndarray,  # to begin with, of each column, shape (n,)
     prior: Prior | None = None,  # of the first parameters
     bound: float = HUBER,  # scales beyond which residuals weigh less
     rounds: int = 8,
     share: float = 1.0,  # of the rows that is independent of the others
     least: np.ndarray | float = 1e-9,  # scale
-    counts: np.ndarray | None = None,  # which residuals do, shape (rows, n)
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Huber's estimate of target = design @ parameters; parameters, residuals, scales."""
-    used = np.ones(target.shape, bool) if counts is None else counts
-    weight = used.astype(float)
+    solve: Callable[[np.ndarray, np.ndarray], np.ndarray] = solve_normal,  # normal equations
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Huber's estimate of target = design @ parameters; these, residuals, their weights, scales."""
+    counts = weight > 0.0
     for _ in range(rounds):
-        matrix, right = normal_equations(design, target, share * weight / scale**2, prior)
-        solution = invert_normal(matrix) @ right
+        solution = solve(*normal_equations(design, target, share * weight / scale**2, prior))
         residual = target - predicted(design, solution)
-        scale = robust_scale(residual, least, used)
-        weight = used * huber(residual / scale, bound)
-    return solution, residual, scale
+        scale = robust_scale(residual, counts, least)
+        scale = np.maximum(scale, 1e-6 * np.max(scale))
+        weight = counts * huber(residual / scale, bound)
+    return solution, residual, weight, scale
