@@ -80,24 +80,22 @@ def design_controller(
 
 
 @lru_cache(maxsize=8)
-def _loop_problem(vertices: int, wanted: ControllerRequirement, rate: float) -> tuple[Any, ...]:
-    """Guaranteed-cost state feedback with integral action, compiled once for any vertices.
+def _loop_problem(
+    vertices: int, state_weight: tuple[float, ...], torque_weight: float, rate: float
+) -> tuple[Any, ...]:
+    """Guaranteed-cost state feedback with integral action, compiled once for any poles.
 
     The disc of radius r = (fastest - alpha)/2 around -(fastest + alpha)/2 implies LMI (67): with
     N = A_c Q + B_c X, (N + alpha Q) Q^-1 (N + alpha Q)^T >= 0 and the disc give
     N + N^T + 2 alpha Q < 0.  The solver is therefore not given (67); its check is.  It works in
-    units of time, 1/``rate``.  Returns the problem, parameters of each vertex, Q and X.
+    units of time, 1/``rate``.  Returns the problem, parameters of vertices and disc, Q and X.
     """
     parameters = [(cp.Parameter((2, 2)), cp.Parameter((2, 2))) for _ in range(vertices)]
     q, x = cp.Variable((6, 6), symmetric=True), cp.Variable((2, 6))
     w = cp.Variable((6, 6), symmetric=True)
-    root = np.diag(np.sqrt(np.repeat(wanted.state_weight, 2) / rate) / _scale(rate))
-    effort = np.sqrt(wanted.torque_weight / rate)
-    slowest, fastest = (
-        (1.0 + RESERVE) * wanted.alpha / rate,
-        (1.0 - RESERVE) * wanted.fastest / rate,
-    )
-    center, radius = 0.5 * (fastest + slowest), 0.5 * (fastest - slowest)
+    root = np.diag(np.sqrt(np.repeat(state_weight, 2) / rate) / _scale(rate))
+    effort = np.sqrt(torque_weight / rate)
+    center, radius = cp.Parameter(), cp.Parameter()
     constraints = []
     for gravity, inverse in parameters:
         # A_c Q + B_c X, with the rows of eq. (64) that do not depend on the vertex.
@@ -113,7 +111,7 @@ def _loop_problem(vertices: int, wanted: ControllerRequirement, rate: float) -> 
         constraints += [symmetric_below(cost, 1e-7), symmetric_below(poles, 1e-7)]
     scale = np.diag(_scale(rate))
     constraints.append(cp.bmat([[w, scale], [scale, q]]) >> 0)
-    return cp.Problem(cp.Minimize(cp.trace(w)), constraints), parameters, q, x
+    return cp.Problem(cp.Minimize(cp.trace(w)), constraints), parameters, (center, radius), q, x
 
 
 def _scale(rate: float) -> np.ndarray:
@@ -129,7 +127,11 @@ def solve_loop(
     # What gravity makes of an angle in time, to a power of two: compiled problems are kept.
     rate = max(float(np.abs(b[2:4] * unit).max()) for b in loop[1])
     rate = 2.0 ** round(0.5 * math.log2(rate) - 2.0)
-    problem, parameters, q, x = _loop_problem(len(loop[0]), wanted, rate)
+    kept = _loop_problem(len(loop[0]), wanted.state_weight, wanted.torque_weight, rate)
+    problem, parameters, (center, radius), q, x = kept
+    slowest = (1.0 + RESERVE) * wanted.alpha / rate
+    fastest = (1.0 - RESERVE) * wanted.fastest / rate
+    center.value, radius.value = 0.5 * (fastest + slowest), 0.5 * (fastest - slowest)
     for a, b, (gravity, inverse) in zip(*loop, parameters):
         gravity.value, inverse.value = a[2:4, :2] / rate**2, b[2:4] * unit / rate**2
     status, scale = run(problem), _scale(rate)
