@@ -95,8 +95,8 @@ def test_given_no_solution_when_solved_then_nothing_passes(paper_model, lmi_name
 
 # (55) literally, and (54) with the disc as a separate inequality; see docs/paper-notes.md.
 @pytest.mark.parametrize(('lmi_name', 's_min', 'expected'), [
-    *[('55', s, g) for s, g in ((1.0, 0.82), (0.97, 0.93), (0.95, 1.01), (0.9, 1.31), (0.8, 3.8))],
-    *[('54+disc', s, g) for s, g in ((1.0, 0.165), (0.9, 0.20), (0.8, 0.28))],
+    ('55', 1.0, 0.82), ('55', 0.95, 1.01), ('55', 0.8, 3.8),
+    ('54+disc', 1.0, 0.165), ('54+disc', 0.8, 0.28),
 ])  # fmt: skip
 def test_given_a_smaller_box_then_gamma_is_as_known(paper_model, lmi_name, s_min, expected):
     found, _ = solve_paper(paper_model, PaperRequirement(lmi_name, s_min), minimise=True)
@@ -295,8 +295,8 @@ def test_given_one_disturbance_of_both_axes_then_its_deviation_is_as_certified(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize('factor', [1e-3, 1e3])
-def test_given_all_masses_scaled_when_designed_then_so_are_gains(paper_model, factor):
+def test_given_all_masses_scaled_when_designed_then_so_are_gains(paper_model):
+    factor = 1e-3
     shipped, wanted = designed('paper'), load_requirement('paper')
     heavy = paper_model.scaled((factor, factor), (factor, factor))
     observer, _ = exact_observer.design_exact(heavy, wanted.observer)
