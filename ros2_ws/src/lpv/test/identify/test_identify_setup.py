@@ -92,28 +92,27 @@ def test_given_limits_when_planned_then_the_motion_keeps_them_and_rests_at_its_e
     assert plan.information > plan_excitation(arm, 12.0, trials=1).information
 
 
+def torques_of(arm, plan):
+    """Largest torques of a planned motion [N m]."""
+    motion = plan.trajectory.sample(np.arange(0.0, 12.0, 0.02))
+    return np.abs(rigid_body.joint_torques(arm, *motion)).max(axis=0)
+
+
 def test_given_heavy_rotors_and_friction_when_planned_then_torques_keep_their_limits(arm):
     drives = {'rotor_inertia': [8.0] * 3, 'friction': [JointFriction(2.0, 0.1, 1.0, 50.0, 0.1)] * 3}
     limits = [max(3.0 * torque, 20.0) for torque in plan_excitation(arm, 12.0, trials=3).torque]
     most = [replace(one.limits, torque=torque) for one, torque in zip(arm.joints, limits)]
     heavy = with_joints(arm, limits=most, **drives)
     plan = plan_excitation(heavy, 12.0, trials=10)
-    motion = plan.trajectory.sample(np.arange(0.0, 12.0, 0.02))
-    largest = np.abs(rigid_body.joint_torques(heavy, *motion)).max(axis=0)
-    assert np.all(largest <= 1.001 * plan.torque) and np.all(plan.torque < limits)
+    assert np.all(torques_of(heavy, plan) <= 1.001 * plan.torque) and np.all(plan.torque < limits)
 
 
 def test_given_much_viscous_friction_when_planned_then_a_slower_motion_counts_as_slower(arm):
-    joints = [replace(one, friction=JointFriction(0.0, 100.0)) for one in arm.joints]
-    limits = [0.5 * 100.0 * 0.6 * one.limits.velocity + 60.0 for one in arm.joints]
-    joints = [
-        replace(one, limits=replace(one.limits, torque=most / 0.8))
-        for one, most in zip(joints, limits)
-    ]
-    viscous = replace(arm, joints=tuple(joints))
+    most = [0.5 * 100.0 * 0.6 * one.limits.velocity + 60.0 for one in arm.joints]
+    limits = [replace(one.limits, torque=torque / 0.8) for one, torque in zip(arm.joints, most)]
+    viscous = with_joints(arm, limits=limits, friction=[JointFriction(0.0, 100.0)] * 3)
     plan = plan_excitation(viscous, 12.0, trials=3)  # no motion at full speed keeps the limits
-    motion = plan.trajectory.sample(np.arange(0.0, 12.0, 0.02))
-    largest = np.abs(rigid_body.joint_torques(viscous, *motion)).max(axis=0)
+    largest = torques_of(viscous, plan)
     assert np.all(largest <= 1.001 * plan.torque) and np.all(plan.torque <= largest + 60.0)
 
 
@@ -228,57 +227,47 @@ def test_given_a_kr300_when_link_side_encoders_are_compared_then_they_agree_with
         assert abs(abs(reading.scale) - 1.0) < 0.01 and reading.difference < 2e-3
 
 
-def test_given_degrees_of_a_prismatic_joint_when_identified_then_its_unit_is_asked_for(
-    arm, tmp_path, call
+@pytest.fixture
+def refusal(arm, tmp_path, call):
+    """What the command says that identifies the arm and refuses its options."""
+    file = tmp_path / 'arm.yaml'
+
+    def said(recording, *options, arm=arm):
+        save_arm(arm, file)
+        return call('identify', recording, '--arm', file, *options, code=2).err
+
+    return said
+
+
+def test_given_what_does_not_fit_when_identified_then_it_is_said_before_the_fit(
+    arm, tmp_path, refusal
 ):
-    file, columns = tmp_path / 'arm.yaml', tmp_path / 'columns.yaml'
-    save_arm(replace(arm, joints=(replace(arm.joints[0], type='prismatic'),)), file)
+    columns, run, new = (tmp_path / name for name in ('columns.yaml', 'run.csv', 'new'))
     columns.write_text(
         'time: {column: t}\nangle_unit: deg\njoints: {one: {position: q, velocity: w}}'
     )
-    said = call('identify', 'run.csv', '--columns', columns, '--arm', file, code=2).err
+    slide = replace(arm, joints=(replace(arm.joints[0], type='prismatic'),))
+    said = refusal(run, '--columns', columns, arm=slide)
     assert 'columns.yaml: joints.one.unit: must be m' in said
+    run.write_text('time;q1;tau1\n0.0;0.1;0.2\n')
+    assert 'it has time;q1;tau1; give a column map' in refusal(run)
+    missing = tmp_path / 'nothing.csv'
+    assert 'File exists' in refusal(missing, '--out', tmp_path / 'arm.yaml' / 'a')
+    refusal(missing, '--out', new / 'a.yaml')
+    assert new.is_dir()
 
 
-def test_given_a_csv_file_with_other_separators_when_identified_then_its_columns_are_shown(
-    arm, tmp_path, call
-):
-    file, recording = tmp_path / 'arm.yaml', tmp_path / 'run.csv'
-    save_arm(arm, file)
-    recording.write_text('time;q1;tau1\n0.0;0.1;0.2\n')
-    said = call('identify', recording, '--arm', file, code=2).err
-    assert 'it has time;q1;tau1; give a column map' in said
-
-
-def test_given_no_place_for_the_arm_when_identified_then_it_is_said_before_the_fit(
-    arm, tmp_path, call
-):
-    file, missing = tmp_path / 'arm.yaml', tmp_path / 'nothing.csv'
-    save_arm(arm, file)
-    said = call('identify', missing, '--arm', file, '--out', file / 'a', code=2).err
-    assert 'File exists' in said
-    call('identify', missing, '--arm', file, '--out', tmp_path / 'new' / 'a.yaml', code=2)
-    assert (tmp_path / 'new').is_dir()
-
-
-@pytest.mark.parametrize('options', [
-    '--calibrate --report folder', '--payload --test other.csv', '--calibrate --refit',
-    '--calibrate --known-mass 2', '--known-mass 2', '--lock one', '--joints one', '--tip link',
+@pytest.mark.parametrize(('options', 'refused'), [
+    ('--calibrate --report folder', 'report'), ('--payload --test other.csv', 'test'),
+    ('--calibrate --refit', 'refit'), ('--calibrate --known-mass 2', 'known-mass'),
+    ('--known-mass 2', 'known-mass'), ('--lock one', 'lock'), ('--joints one', 'joints'),
+    ('--tip link', 'tip'), *((f'--gain {gain}', 'gain') for gain in ('nan', 'inf', '1e308', '0')),
 ])  # fmt: skip
-def test_given_an_option_without_effect_when_identified_then_it_is_refused(
-    arm, tmp_path, call, options
+def test_given_an_option_without_effect_or_no_gain_when_identified_then_it_is_refused(
+    refusal, options, refused
 ):
-    save_arm(arm, tmp_path / 'arm.yaml')
-    said = call('identify', 'x.csv', '--arm', tmp_path / 'arm.yaml', *options.split(), code=2).err
-    refused = options.split()[1 if options.startswith(('--calibrate', '--payload')) else 0]
-    assert f'lpv identify: {refused}: ' in said
-
-
-@pytest.mark.parametrize('gain', ['nan', 'inf', '1e308', '0'])
-def test_given_no_gain_when_identified_then_it_is_refused(arm, tmp_path, call, gain):
-    save_arm(arm, tmp_path / 'arm.yaml')
-    said = call('identify', 'x.csv', '--arm', tmp_path / 'arm.yaml', '--gain', gain, code=2).err
-    assert 'lpv identify: --gain: needs 1 or ' in said
+    told = 'needs 1 or ' if refused == 'gain' else ''
+    assert f'lpv identify: --{refused}: {told}' in refusal('x.csv', *options.split())
 
 
 def test_given_a_known_arm_when_calibrated_then_its_second_encoder_is_kept(
@@ -315,6 +304,17 @@ def in_degrees(recording):
     return replace(recording, position=position, velocity=velocity)
 
 
+def off(error):
+    """Readings of the second joint that are off by an error of their own and the time."""
+
+    def change(recording):
+        position, time = recording.position.copy(), recording.time[:, None]
+        position[:, 1:2] += error(position[:, 1:2], time)
+        return replace(recording, position=position, velocity=None)
+
+    return change
+
+
 MISTAKES = {
     'degrees': ('angle', 'degrees', in_degrees, None),
     'tilted base': ('gravity', 'about y by -5', lambda r: r, (0.0, 0.1, 0.0)),
@@ -326,9 +326,15 @@ MISTAKES = {
     'swapped names': ('names', 'two and three are swapped', swapped, None),
     'currents': ('unit', 'currents', efforts(lambda u: u / [13, 12, 9]), None),
     'late efforts': ('delay', '50 ms too late', efforts(lambda u: shifted(u, 0.05, 0.01)), None),
-}
-
-
+    'zero': ('reading', r'two are off by about \+0\.(4[0-4]?|3[6-9]) rad all',
+             off(lambda q, t: 0.4 + 0.0 * q), None),
+    'ratio': ('reading', r'two are off by about \+(9|10)\..% of what they are',
+              off(lambda q, t: 0.1 * q), None),
+    'drift': ('reading', r'two are off by about \+0\.0(1|09\d) rad/s more and more',
+              off(lambda q, t: 0.01 * t), None),
+    'turned, zero': ('reading', r'readings of two count the other .* off by about \+0\.(7|6[89])',
+                     off(lambda q, t: 0.7 - 2.0 * q), None),
+}  # fmt: skip
 ALIKE = {'mounted on a wall', 'tilt and a sign', 'other signs', 'currents'}
 """Mistakes whose like is among the fast tests: the whole suite looks for them."""
 
@@ -377,7 +383,7 @@ class Swing:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(('stated', 'said'), [(0.0, ['load']), (None, []), (5.0, [])])
+@pytest.mark.parametrize(('stated', 'said'), [(0.0, ['load']), (5.0, [])])
 def test_given_a_load_when_looked_at_then_it_is_a_mistake_where_the_file_says_that_there_is_none(
     stated, said
 ):
@@ -443,7 +449,7 @@ def test_given_friction_at_rest_as_in_the_next_motion_when_looked_at_then_a_dela
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(('seed', 'duration'), [(0, 60.0), (5, 60.0), (1, 6.0), (5, 6.0)])
+@pytest.mark.parametrize(('seed', 'duration'), [(5, 60.0), (1, 6.0)])
 def test_given_an_arm_that_pauses_when_looked_at_then_friction_at_rest_is_no_mistake(
     seed, duration
 ):
@@ -467,40 +473,12 @@ def test_given_real_arms_that_move_fast_when_looked_at_then_there_are_no_mistake
     assert mistakes.find_mistakes(two_links(build)[0], [one]) == []
 
 
-def off(recording, error):
-    """Readings of the second joint that are off by an error of their own and the time."""
-    position, time = recording.position.copy(), recording.time[:, None]
-    position[:, 1:2] += error(position[:, 1:2], time)
-    return replace(recording, position=position, velocity=None)
-
-
-ERRORS = {
-    'zero': (lambda q, t: 0.4 + 0.0 * q, r'two are off by about \+0\.(4[0-4]?|3[6-9]) rad all'),
-    'ratio': (lambda q, t: 0.1 * q, r'two are off by about \+(9|10)\..% of what they are'),
-    'drift': (lambda q, t: 0.01 * t, r'two are off by about \+0\.0(1|09\d) rad/s more and more'),
-    'turned': (lambda q, t: -2.0 * q, 'readings of two count the other way round: is'),
-    'turned, zero': (
-        lambda q, t: 0.7 - 2.0 * q,
-        r'other way round and are off by about \+0\.(7|6[89])',
-    ),
-}
-
-
-@pytest.mark.parametrize('name', ERRORS)
-def test_given_readings_that_are_off_all_the_time_when_looked_at_then_their_joint_is_named(
-    rough_arm, recording, name
-):
-    error, text = ERRORS[name]
-    (first,) = mistakes.find_mistakes(rough_arm, [off(recording, error)])
-    assert first.kind == 'reading' and re.search(text, first.text)
-
-
 @pytest.mark.slow
 def test_given_a_load_that_is_taken_when_looked_at_then_no_encoder_is_blamed():
-    before, after = recording_of_twin(10**6, robot=1), recording_of_twin(10**6, 3.0, robot=1)
-    late = np.where(before.time[:, None] > 25.0, after.effort, before.effort)
+    before, after = (recording_of_twin(10**6, load, 15.0, robot=1) for load in (0.0, 3.0))
+    late = np.where(before.time[:, None] > 7.0, after.effort, before.effort)
     (first,) = mistakes.find_mistakes(ur10e(), [replace(before, effort=late)])
-    assert first.kind == 'change' and re.search(r'by about \+[23].* kg after 2\d s', first.text)
+    assert first.kind == 'change' and re.search(r'by about \+[23].* kg after [6-9] s', first.text)
 
 
 def test_given_errors_that_change_with_speed_when_fitted_then_the_bounds_do():
