@@ -170,11 +170,20 @@ def swapped(arm, stamps, samples):
     return replace(arm, joints=tuple(joints), sensor_matrix=matrix), stamps, samples
 
 
+def one_after_the_other(*changes):
+    def change(*described):
+        for one in changes:
+            described = one(*described)
+        return described
+
+    return change
+
+
 DESCRIPTIONS = {
-    'turned': turned, 'mirrored': mirrored, 'heavy': heavy(4.0), 'light': heavy(0.01),
-    'long': long(3.0), 'short': long(0.1), 'other efforts': other_efforts, 'strong': strong,
-    'later': later, 'renamed': renamed, 'swapped': swapped,
-}  # fmt: skip
+    'placed and named otherwise': one_after_the_other(turned, mirrored, renamed, later),
+    'large units': one_after_the_other(heavy(4.0), long(3.0), other_efforts, strong),
+    'small units': one_after_the_other(heavy(0.01), long(0.1), swapped),
+}
 
 
 def events(answers, begin, order):
