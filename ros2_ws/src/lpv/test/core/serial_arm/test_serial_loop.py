@@ -139,7 +139,7 @@ def test_given_rounded_readings_when_drives_brake_in_motion_then_none_is_called_
 
 
 @pytest.mark.parametrize(('name', 'joint', 'onset', 'seed'), [
-    ('panda', 5, 5.6, 5), ('ur10', 1, 6.0, 7), ('panda', 3, 6.4, 6), ('ur10', 2, 6.4, 5),
+    ('panda', 5, 5.6, 5), ('ur10', 1, 6.0, 7),
 ])  # fmt: skip
 def test_given_a_frozen_reading_when_drives_brake_in_motion_then_no_other_encoder_is_blamed(
     name, joint, onset, seed
@@ -186,8 +186,10 @@ WAYS = {'direct': ('derived', Transport()), 'late and lossy': ('independent', Tr
 WAYS['stalled'] = 'derived', Transport(stalls=STALLS)
 
 
-@pytest.mark.parametrize('faults', FAULTS)
-@pytest.mark.parametrize('way', WAYS)
+@pytest.mark.parametrize(('faults', 'way'), [
+    *((faults, 'direct') for faults in FAULTS), ('step in a dropout', 'late and lossy'),
+    ('stuck', 'late and lossy'), ('none', 'stalled'), ('noise', 'stalled'),
+])  # fmt: skip
 def test_given_a_run_when_a_node_gets_it_then_it_answers_the_same(faults, way):
     rates, transport = WAYS[way]
     run = simulate(*FAULTS[faults], rates=rates, transport=transport, duration=1.4)
@@ -341,8 +343,10 @@ def loop_with(name, corrects_rates):
     return Loop(CORRECTIONS[name], corrects_rates).run(ONSET + 2.5)
 
 
-@pytest.mark.parametrize('corrects_rates', [False, True])
-@pytest.mark.parametrize('name', CORRECTIONS)
+@pytest.mark.parametrize(('name', 'corrects_rates'), [
+    *((name, False) for name in CORRECTIONS),
+    *((name, True) for name in ('drifts', 'drifts fast', 'swings')),  # a jump is no rate
+])  # fmt: skip
 def test_given_a_wrong_correction_when_it_changes_then_no_joint_is_too_fast(name, corrects_rates):
     loop = loop_with(name, corrects_rates)
     limit, fastest = np.array(loop.arm.velocity_limit), np.max(loop.speeds, axis=0)
