@@ -21,3 +21,15 @@ def run_paper(paper_arm, paper_gains, two_faults):
 @pytest.fixture(scope='session')
 def joints(paper_model):
     return JointMap(paper_model)
+
+
+@pytest.fixture(scope='session')
+def arms(paper_model, real_model):
+    """Both shipped planar arms at once, as designs take them."""
+    return paper_model, real_model
+
+
+@pytest.fixture
+def gains(arm, gains_of):
+    """Of the arm."""
+    return gains_of[arm.name]

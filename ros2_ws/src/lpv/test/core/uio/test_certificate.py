@@ -274,9 +274,7 @@ def test_given_any_number_that_is_used_when_forged_then_the_loader_refuses_it(re
     assert len(used) > 60
     values = dict(places(data))
     for place, x in ((place, values[place]) for place in used):
-        # A thousandth and more, up and down; each changes zeros, too.
-        others = x * 1.001 + 1e-9, x * 0.999 - 1e-9, -x - 1e-9, 0.0 if x else 1.0, 1e6 * x + 1.0
-        for other in others:
+        for other in (x * 1.001 + 1e-9, -x - 1e-9):  # each changes zeros, too
             with pytest.raises(ConfigError, match='gains'):
                 Gains.parse(changed(data, place, other)).require(arm)
     # Numbers for information do not count.

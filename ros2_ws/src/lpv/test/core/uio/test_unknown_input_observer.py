@@ -40,8 +40,9 @@ def answers(run, arm, gains, observer, parts=1):
     return [monitor.take_many(*part) for part in zip(*(np.array_split(r, parts) for r in rows))]
 
 
-@pytest.mark.parametrize('payload', [0.0, 0.3])
-@pytest.mark.parametrize('factors', [(1.05, 0.95), (0.95, 1.05), (1.05, 1.05)])
+@pytest.mark.parametrize(('factors', 'payload'), [
+    ((1.05, 0.95), 0.0), ((0.95, 1.05), 0.3), ((1.05, 1.05), 0.3),
+])  # fmt: skip
 def test_given_a_healthy_arm_then_bounds_hold(paper_arm, paper_gains, run_paper, factors, payload):
     arm = replace(paper_arm, uncertainty=replace(paper_arm.uncertainty, payload=0.3))
     gains = replace(paper_gains, arm_sha256=planar_model(arm).sha256())  # which allow for it
@@ -156,8 +157,7 @@ def test_given_noisy_encoders_then_angles_have_the_noise_of_their_own(paper_mode
         assert error_bound(arm, observer, 4.0).angle_noise == pytest.approx(4.0 * np.array(angle))
 
 
-@pytest.mark.parametrize('sensor', [0, 1])
-@pytest.mark.parametrize('size', [0.05, -0.5, 0.6, -0.6])
+@pytest.mark.parametrize(('sensor', 'size'), [(0, 0.05), (1, -0.5), (0, -0.6), (1, 0.6)])
 def test_given_an_offset_from_the_start_then_its_bound_holds_it_and_a_large_one_is_certain(
     paper_arm, paper_gains, run_paper, sensor, size
 ):
