@@ -95,9 +95,9 @@ import lpv
 import numpy as np
 from lpv.core.support.jit import COMPILED
 scenario, runs = lpv.load_scenario('two_faults'), {}
-faults = [replace(fault, onset=at) for fault, at in zip(scenario.faults, (0.1, 0.15))]
+faults = [replace(fault, onset=at) for fault, at in zip(scenario.faults, (0.05, 0.07))]
 for file, plant in product(files, ('nonlinear', 'lpv')):
-    changed = replace(scenario, duration=0.3, faults=tuple(faults), plant=plant)
+    changed = replace(scenario, duration=0.15, faults=tuple(faults), plant=plant)
     values = vars(lpv.simulate(lpv.load_arm('paper'), lpv.load_gains(file), changed))
     values = {**values, 'alarms': [alarm.detected for alarm in values['alarms']]}
     runs |= {f'{Path(file).stem} {plant} {name}': value for name, value in values.items()}
@@ -202,8 +202,10 @@ def largest_error(run, after=0.0):
 
 
 @paper
-@pytest.mark.parametrize('index', [0, 1])
-@pytest.mark.parametrize('kind', FAULTS)
+@pytest.mark.parametrize(('kind', 'index'), [
+    ('bias', 0), ('drift', 1), ('stuck', 0), ('noise', 1), ('spike', 0), ('dropout', 0),
+    ('dropout', 1),
+])  # fmt: skip
 def test_given_any_fault_then_it_is_named_and_the_arm_stays_on_its_path(simulate, arm, kind, index):
     run = simulate(Fault(arm.sensor_names[index], kind, ONSET, 2.0, **FAULTS[kind]))
     # Without link1_angle, ROS joint 2 is a difference with one side missing: both are silent.
@@ -230,7 +232,7 @@ def test_given_a_bias_when_compensated_then_the_arm_tracks_and_latches_stay(simu
     assert run.alarm[-1].tolist() == [1, 0]
 
 
-@pytest.mark.parametrize('payload', [0.5, 1.0, 1.5, 2.0, 3.0])
+@pytest.mark.parametrize('payload', [0.5, 1.5, 3.0])
 @paper
 def test_given_an_unstated_payload_when_it_is_lifted_then_no_sensor_is_blamed(simulate, payload):
     run = simulate(duration=3.0, payload=payload)

@@ -18,8 +18,6 @@ from lpv.core.control.watchdog import (
 from lpv.core.monitoring.serial_monitor import SerialSensorMonitor
 from lpv.core.serial_arm.diagnosis.alarms import Mode
 from lpv.core.simulation.transport import PARTS, Stall, Transport
-from lpv_design.design_flow import design
-from lpv_design.requirement import load_requirement
 
 pytestmark = pytest.mark.slow
 MS = 1_000_000
@@ -156,14 +154,13 @@ def test_given_what_is_late_on_average_then_both_sides_stop_for_a_while(tracker,
     assert 0.2 <= back.index(StopReason.NONE) * 0.002 < 0.3
 
 
-def test_given_any_rate_then_limits_are_below_the_latency(paper_arm, real_arm, gains_of):
-    for arm in (paper_arm, real_arm):
-        tolerated = loop_latency(arm, gains_of[arm.name])
-        assert watchdog.UNKNOWN_LOOP.mean < tolerated < 0.1
-        assert watchdog.latency_limits(tolerated).mean < tolerated
-    for rate in (50, 2000):
-        arm = replace(paper_arm, sample_time=1.0 / rate)
-        tolerated = loop_latency(arm, design(arm, load_requirement('paper')).gains)
+def test_given_any_rate_then_limits_are_below_the_latency(arm, gains_of):
+    gains = gains_of[arm.name]
+    tolerated = loop_latency(arm, gains)
+    assert watchdog.UNKNOWN_LOOP.mean < tolerated < 0.1
+    assert watchdog.latency_limits(tolerated).mean < tolerated
+    for rate in (100, 2000):
+        tolerated = loop_latency(replace(arm, sample_time=1.0 / rate), gains)
         limits = watchdog.latency_limits(tolerated)
         assert 0.5 / rate < limits.mean < tolerated
         assert watchdog.mean_limit(limits.single) == pytest.approx(limits.mean)
@@ -176,7 +173,7 @@ def test_given_a_tolerated_latency_then_the_arm_follows_and_beyond_it_is_braked(
     assert set(late.brake_reason[200:]) & {BrakeReason.LATENCY, BrakeReason.SAFE_STOP}
 
 
-@pytest.mark.parametrize('seed', range(4))
+@pytest.mark.parametrize('seed', range(2))
 def test_given_random_stalls_when_run_then_no_joint_is_too_fast(run_paper, seed):
     rng, stalls = np.random.default_rng(seed), []
     delay = int(rng.integers(0, 4))
