@@ -133,6 +133,9 @@ def test_given_a_contact_parts_or_no_rates_when_fitted_then_all_counts(arm, reco
     assert not found.used_rates and len(found.predictions) == 2
     assert {joint.sensors.rates for joint in found.arm.joints} == {'none'}
     assert np.all(found.figures.rms < 1.1 * result.figures.rms)
+    partly = identify(arm, [replace(halves[0], velocity=None), halves[1]])
+    assert partly.used_rates and len(partly.predictions) == 2
+    assert np.all(partly.figures.rms < 1.1 * result.figures.rms)
 
 
 @pytest.mark.parametrize('way', ['identified', 'calibrated'])

@@ -19,7 +19,8 @@ def rate_delays(segments: Sequence[Segment], bands: Bandwidths) -> np.ndarray:
     pairs: list[_Pair] = []
     cutoff = min(bands.position, bands.velocity)
     for segment in segments:
-        assert segment.velocity is not None
+        if segment.velocity is None:
+            continue
         rate = derivative(low_pass(segment.position, cutoff, segment.step), segment.step)
         pairs.append((rate, low_pass(segment.velocity, cutoff, segment.step), segment.step))
     return _delays(pairs)

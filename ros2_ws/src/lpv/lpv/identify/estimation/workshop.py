@@ -121,7 +121,7 @@ class Workshop:
     def choose(self, report: Callable[[str], None]) -> None:
         """Rates, bandwidth of the efforts, prior, delay: by prediction of training data."""
         report('choosing measured or computed rates')
-        if self.segments[0].velocity is not None:
+        if any(segment.velocity is not None for segment in self.segments):
             self._choose_rates()
         report('choosing the bandwidth of the efforts')
         band = _effort_band(self.train_rows(), self.bands, self.prior)

@@ -137,7 +137,8 @@ def moving(velocity: np.ndarray, step: float, scale: np.ndarray) -> np.ndarray:
 
 def find_bandwidths(segments: list[Segment]) -> Bandwidths:
     """Cutoffs for `smooth` and for the regression, from the spectra of positions and rates."""
-    longest = max(segments, key=lambda s: len(s.time))
+    rated = [segment for segment in segments if segment.velocity is not None]
+    longest = max(rated or segments, key=lambda s: len(s.time))
     step = longest.step
     highest = 0.4 * 0.5 / step
     position = _clip(1.5 * _noise_corner(longest.position, step), _SLOWEST, highest)
