@@ -61,17 +61,21 @@ def demo(tmp_path_factory):
     return out, ros.lpv(*words), load_run(out / 'bag')
 
 
+def commands_as_offline(record, arm, run):
+    """Each command of the graph is that of the loop without nodes, bit by bit; how many."""
+    commands = record.get('torque_command', 'torque')
+    assert commands.shape[1] == len(arm.joints) and len(commands) <= len(run.torque)
+    np.testing.assert_array_equal(commands, run.torque[: len(commands)])
+    return len(commands)
+
+
 @pytest.mark.ros
 def test_given_the_demo_when_run_then_it_is_the_loop_without_nodes_and_all_files_are_there(demo):
-    """What that loop does on the whole scenario is held to the paper by `test_closed_loop`; an arm
-    without a region is that of `test_graph`."""
+    """What that loop does on the whole scenario is held to the paper by `test_closed_loop`."""
     out, text, record = demo
     arm, gains = load_arm('paper'), load_gains(out / 'gains.yaml')
     scenario = replace(load_scenario(out / 'scenario.yaml'), seed=SEED)
-    offline = run_closed_loop(arm, scenario, gains)
-    commands = record.get('torque_command', 'torque')
-    assert 1550 < len(commands) <= len(offline.torque)
-    np.testing.assert_array_equal(commands, offline.torque[: len(commands)])
+    assert commands_as_offline(record, arm, run_closed_loop(arm, scenario, gains)) > 1550
     table = r'^ *(\w+) +(?:estimate|tracking).*?rad²\S* +\S+ +\S+ +\S+ x *$'
     signals = 'x1 x2 x3 x4 f1 f2 y1 y2 e_t1 e_t2'
     assert set(re.findall(table, text, re.MULTILINE)) == set(signals.split()), text
@@ -116,6 +120,22 @@ def test_given_a_signal_when_the_demo_runs_again_then_its_bag_begins_as_before_a
     end = min(first[-1][1], again[-1][1]) - 100_000_000  # what was under way may be missing
     first, again = ([entry for entry in bag if entry[1] < end] for bag in (first, again))
     assert again == first and {topic for topic, *_ in again} >= {f'/lpv/{name}' for name in ALL}
+
+
+@pytest.mark.ros
+def test_given_a_serial_arm_when_shown_then_the_fault_is_named_and_torques_as_offline(
+    tmp_path, call
+):
+    scenario, arm = shortened(tmp_path, 'ur10', 0.5, duration=1.2), load_arm('ur10')
+    said = ros.lpv('demo', '--arm', 'ur10', '--scenario', scenario, '--out', tmp_path)
+    assert 'ALARM, elbow_encoder: error +0.200 rad' in said
+    assert (tmp_path / 'report' / 'report.html').stat().st_size > 10_000
+    record = load_run(tmp_path / 'bag', joint_names=arm.joint_names)
+    error = record.get('ground_truth', 'position') - record.get('reference', 'position')
+    assert len(error) >= 600
+    assert np.abs(error).max() < 0.02  # the true arm stayed on its path
+    call('compare', tmp_path / 'bag', tmp_path / 'bag', '--exact')
+    assert commands_as_offline(record, arm, run_closed_loop(arm, load_scenario(scenario))) >= 600
 
 
 @pytest.mark.parametrize('command', ['design', 'demo', 'import-csv', 'replay', 'compare', 'report'])
