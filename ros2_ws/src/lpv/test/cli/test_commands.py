@@ -171,6 +171,7 @@ def test_given_no_scenario_when_the_demo_runs_then_it_is_that_of_the_arm(
     run = []
     monkeypatch.setattr(demo, 'require_ros', lambda: None)
     monkeypatch.setattr(demo, '_designed', lambda *_: tmp_path)
+    monkeypatch.setattr('lpv.core.simulation.precompile.precompile', lambda *_: None)
     monkeypatch.setattr(demo, '_run_graph', lambda _, files, *others: run.append(files) or 'no')
     call('demo', '--arm', arm, '--out', tmp_path, code=1)
     assert [files['scenario'].stem for files in run] == [scenario]
