@@ -5,25 +5,21 @@ from pathlib import Path
 from typing import Any
 
 from lpv.core.support.config import Section, read_yaml
-from lpv.core.support.entries import part, read_entries
+from lpv.core.support.entries import part, part_by, read_entries
 from lpv.core.support.resources import bringup_file
-from lpv.core.uio.certificate.conditions import METHODS
 from lpv_design.controller import ControllerRequirement
 from lpv_design.exact_observer import ExactRequirement
 from lpv_design.paper_observer import PaperRequirement
-
-
-def _observer_of(section: Section) -> type[ExactRequirement | PaperRequirement]:
-    """What the section of an observer asks for, which its method says."""
-    kinds = {'exact': ExactRequirement, 'paper': PaperRequirement}
-    return kinds[section.text('method', choices=METHODS)]
 
 
 @dataclass(frozen=True)
 class Requirement:
     """A whole requirement file."""
 
-    observer: ExactRequirement | PaperRequirement = part(_observer_of)  # its type tells the method
+    # its type tells the method
+    observer: ExactRequirement | PaperRequirement = part_by(
+        'method', paper=PaperRequirement, exact=ExactRequirement
+    )
     controller: ControllerRequirement = part(ControllerRequirement)
     source: str = ''  # file name
 

@@ -40,6 +40,11 @@ def part(kind: Any, default: Any = MISSING) -> Any:
     return field(default=default, metadata={'part': kind})
 
 
+def part_by(key: str, **kinds: type) -> Any:
+    """A field that is a section of its own, whose text ``key`` names its dataclass."""
+    return part(lambda section: kinds[section.text(key, choices=kinds)])
+
+
 def _place(one: Field[Any]) -> tuple[str, str]:
     """Section and key of a field; no section where it is in that of its dataclass."""
     section, _, key = one.metadata.get('at', one.name).rpartition('.')

@@ -10,12 +10,11 @@ import numpy as np
 from lpv.core.serial_arm.certificate.certified import CertifiedGains, Inequalities
 from lpv.core.serial_arm.certificate.loop_gains import LoopGains
 from lpv.core.serial_arm.description import SerialArm
-from lpv.core.support.config import Section, read_yaml
-from lpv.core.support.entries import part
+from lpv.core.support.config import read_yaml
+from lpv.core.support.entries import part, part_by
 from lpv.core.support.errors import ConfigError
 from lpv.core.support.inequalities import Check, NumberType
 from lpv.core.uio.certificate.conditions import (
-    METHODS,
     ControllerGains,
     controller_checks,
     controller_inequalities,
@@ -28,17 +27,11 @@ from lpv.core.uio.observer.sampled_observer import ObserverGains
 from lpv.core.uio.planar import planar_model
 
 
-def _observer_of(section: Section) -> type[ObserverGains]:
-    """What the section of an observer holds, which its method says."""
-    kinds = {'exact': ExactObserverGains, 'paper': PaperObserverGains}
-    return kinds[section.text('method', choices=METHODS)]
-
-
 @dataclass(frozen=True)
 class Gains(CertifiedGains):
     """Everything that a design hands to the nodes."""
 
-    observer: ObserverGains = part(_observer_of)
+    observer: ObserverGains = part_by('method', paper=PaperObserverGains, exact=ExactObserverGains)
     controller: ControllerGains = part(ControllerGains)
     # margins, solver and versions, as text and numbers: information, nothing is computed from it
     certificate: dict = field(default_factory=dict, metadata={'entry': ('plain', (), {})})
