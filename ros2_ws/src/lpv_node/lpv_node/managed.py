@@ -24,8 +24,7 @@ from lpv.core.support.limits import PATIENCE
 from lpv.core.support.options import Entry
 from lpv.core.support.signals import StopRequest
 from lpv_node.arguments import initialise, refused
-from lpv_node.parameter_service import CheckedParameterService
-from lpv_node.parameters import declare, table
+from lpv_node.parameters import CheckedParameterService, declare, table
 
 VIEWER = 'view'
 """Name of the live view's node: the graph does not wait for it, nor start because of it."""

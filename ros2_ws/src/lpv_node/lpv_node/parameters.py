@@ -1,18 +1,22 @@
-"""Parameters: declared once with description, range and read-only flag."""
+"""Parameters: declared once with description, range and read-only flag; services for them."""
 
 import array
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any, TypeVar
 
 from rcl_interfaces.msg import (
     FloatingPointRange,
     IntegerRange,
     ParameterDescriptor,
+    ParameterType,
     SetParametersResult,
 )
+from rcl_interfaces.msg import Parameter as ParameterMessage
+from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from rclpy.parameter_service import ParameterService
 
 from lpv.core.serial_arm.certificate.certified import CertifiedGains
 from lpv.core.serial_arm.description import SerialArm
@@ -139,3 +143,47 @@ def read_gains(node: Node, arm: SerialArm, kind: type[_Kind], **others: Any) -> 
     gains = kind.parse(nested, node.get_name())
     gains.require(arm, node.get_name())
     return gains
+
+
+class CheckedParameterService(ParameterService):
+    """rclpy's services without requests that end the process: of unknown types, or deletions."""
+
+    def _set_parameters_callback(
+        self, request: SetParameters.Request, response: SetParameters.Response
+    ) -> SetParameters.Response:
+        response.results = [self._set([message]) for message in request.parameters]
+        return response
+
+    def _set_parameters_atomically_callback(
+        self, request: SetParametersAtomically.Request, response: SetParametersAtomically.Response
+    ) -> SetParametersAtomically.Response:
+        response.result = self._set(request.parameters)
+        return response
+
+    def _set(self, messages: Sequence[ParameterMessage]) -> SetParametersResult:
+        reason = next(filter(None, map(self._refusal, messages)), '')
+        try:
+            if not reason:
+                wanted = [Parameter.from_parameter_msg(message) for message in messages]
+                return self._get_node().set_parameters_atomically(wanted)
+        except Exception as error:  # of any type: rclpy does not check what it is sent
+            reason = f'{type(error).__name__}: {error}'
+        return SetParametersResult(successful=False, reason=reason)
+
+    def _refusal(self, message: ParameterMessage) -> str:
+        """Why a parameter cannot have a value; empty if it may."""
+        node, name, given = self._get_node(), message.name, message.value.type
+        if not name:
+            return 'a parameter needs a name'
+        if given == ParameterType.PARAMETER_NOT_SET:
+            return f'{name} cannot be deleted'
+        if given not in [kind.value for kind in Parameter.Type]:
+            return ''  # its error says so
+        if not node.has_parameter(name):
+            return f'{node.get_name()} has no parameter {name}'
+        wanted = node.get_parameter(name).type_
+        if node.describe_parameter(name).dynamic_typing or given == wanted.value:
+            return ''
+        reason = f'{name} is of type {wanted.name}, not {Parameter.Type(given).name}'
+        is_word = (wanted, given) == (Parameter.Type.STRING, ParameterType.PARAMETER_BOOL)
+        return f'{reason}; {QUOTE_WORDS}' if is_word else reason

@@ -18,7 +18,7 @@ from lpv.core.support.options import Entry
 from lpv.core.support.resources import bringup_file
 from lpv.core.support.timestamps import set_stamp, to_nanoseconds
 from lpv.core.uio.certificate.gains import Gains
-from lpv_node import input_check, managed, parameter_service, parameters
+from lpv_node import input_check, managed, parameters
 
 MODULES = ('lpv_arm_sim.node', 'lpv_uio.node', 'lpv_tracker.node', 'lpv_node.recorder.node',
            'lpv_node.view.node')  # fmt: skip
@@ -101,7 +101,7 @@ def test_given_gains_that_are_misspelt_or_not_whole_when_read_then_it_says_so(
 def test_given_parameters_that_make_no_sense_when_set_then_each_is_refused_with_its_reason(node):
     node.declare_parameter('wait', 1.0)
     node.declare_parameter('choice', 'confirmed')
-    service = parameter_service.CheckedParameterService(node)
+    service = parameters.CheckedParameterService(node)
     for name, kind, reason in (
         ('x', 11, '.*ValueError'),  # there is no such type
         ('', ParameterType.PARAMETER_DOUBLE, '.*needs a name'),
