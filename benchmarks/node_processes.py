@@ -133,22 +133,12 @@ def _stop(nodes: list[NodeProcess], patience: float) -> None:
 @contextlib.contextmanager
 def client(domain: int, make: Any = None, name: str = 'client') -> Iterator['Client']:
     """A node in this process, on the domain of a graph, with what it needs to spin."""
-    import rclpy
-    from rclpy.context import Context
-    from rclpy.executors import SingleThreadedExecutor
+    from lpv.bag.rosbag.live import node_alone
 
     os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
-    context = Context()
-    rclpy.init(context=context, domain_id=domain)
-    node = (make or rclpy.create_node)(name, context=context, namespace=NAMESPACE)
-    executor = SingleThreadedExecutor(context=context)
-    executor.add_node(node)
-    try:
-        yield Client(node, executor)
-    finally:
-        executor.shutdown()
-        node.destroy_node()
-        rclpy.shutdown(context=context)
+    given = {'make': make} if make else {}
+    with node_alone(name, domain, namespace=NAMESPACE, **given) as pair:
+        yield Client(*pair)
 
 
 class Client:

@@ -3,11 +3,10 @@
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import count
 from pathlib import Path
 from typing import Any
 
-import rclpy
-from rclpy.context import Context
 from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.publisher import Publisher
@@ -19,7 +18,7 @@ from rosgraph_msgs.msg import Clock
 from lpv.bag.blocks.message_blocks import ahead
 from lpv.bag.errors import BagError
 from lpv.bag.replay.writer import OUTPUTS
-from lpv.bag.rosbag.live import DEEPEST, message_class, ros_qos
+from lpv.bag.rosbag.live import DEEPEST, message_class, node_alone, ros_qos
 from lpv.bag.rosbag.metadata import offered_qos
 from lpv.bag.rosbag.reading import BagReader, open_bag
 from lpv.bag.run.record import DIAGNOSTICS
@@ -45,34 +44,28 @@ class Player:
 
     def __post_init__(self) -> None:
         self._tick = round(NANOSECONDS / self.clock_rate) if self.clock_rate else 0
-        self._context = Context()
+        self._ok: Callable[[], bool] = lambda: False  # whether to go on
 
     def run(self, say: Callable[..., Any] = lambda text: None, rounds: int | None = None) -> int:
         """Play to the end, ``rounds`` of a loop, or until shutdown; the number of messages."""
         with open_bag(self.bag) as reader:
             chosen = self._choose(reader)
-            rclpy.init(context=self._context)
-            node = rclpy.create_node('lpv_player', context=self._context)
-            try:
+            with node_alone('lpv_player') as (node, _):
                 publishers = _publishers(node, chosen, say)
                 if not publishers:
                     raise BagError(f'{self.bag}: no type of its topics is installed here')
                 clock = node.create_publisher(Clock, _CLOCK, 10) if self._tick else None
                 chosen = [c for c in chosen if c.topic in publishers]
                 self._await([*publishers.values(), *([clock] if clock else [])], say)
-                published = turn = 0
-                while True:
+                self._ok, published = node.context.ok, 0
+                for turn in count(1):
                     published += self._play(reader, chosen, publishers, clock)
-                    turn += 1
-                    if not self.loop or turn == rounds or not self._context.ok():
+                    if not self.loop or turn == rounds or not self._ok():
                         break
                 for publisher in publishers.values():
                     if publisher.qos_profile.reliability == ReliabilityPolicy.RELIABLE:
                         publisher.wait_for_all_acked(Duration(seconds=PATIENCE))
                 return published
-            finally:
-                node.destroy_node()
-                rclpy.try_shutdown(context=self._context)
 
     def _choose(self, reader: BagReader) -> list[Connection]:
         if self.topics is not None:
@@ -130,7 +123,7 @@ class Player:
 
     def _sleep(self, wall: float, elapsed: int) -> bool:
         """Sleep until a time of the bag has come; False if the player is to end."""
-        while self._context.ok():
+        while self._ok():
             rest = wall + elapsed / NANOSECONDS / self.rate - time.monotonic()
             if rest <= 0.0:
                 return True

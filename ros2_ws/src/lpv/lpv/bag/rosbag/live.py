@@ -1,8 +1,14 @@
-"""Types and quality of service of a bag's topics in a running graph."""
+"""Types and quality of service of a bag's topics in a running graph, and a node in it."""
 
+import contextlib
 import importlib
+from collections.abc import Iterator
 from typing import Any
 
+import rclpy
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
 DEEPEST = 20_000
@@ -27,3 +33,20 @@ def ros_qos(reliable: bool, latched: bool, depth: int) -> QoSProfile:
         reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
         durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
     )
+
+
+@contextlib.contextmanager
+def node_alone(
+    name: str, domain: int | None = None, make: Any = rclpy.create_node, **options: Any
+) -> Iterator[tuple[Node, SingleThreadedExecutor]]:
+    """A node in a context of its own, and its executor, for as long as they are needed."""
+    context = Context()
+    rclpy.init(context=context, domain_id=domain)
+    node, executor = make(name, context=context, **options), SingleThreadedExecutor(context=context)
+    executor.add_node(node)
+    try:
+        yield node, executor
+    finally:
+        executor.shutdown()
+        node.destroy_node()
+        rclpy.try_shutdown(context=context)

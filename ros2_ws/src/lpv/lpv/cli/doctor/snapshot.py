@@ -5,16 +5,14 @@ import time
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
-import rclpy
 from lifecycle_msgs.srv import GetState
 from rcl_interfaces.srv import GetParameters
-from rclpy.context import Context
-from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import parameter_value_to_python
 from rclpy.qos import QoSProfile, qos_profile_sensor_data
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 
+from lpv.bag.rosbag.live import node_alone
 from lpv.bag.run.record import CORRECTED
 from lpv.core.support.discovery import stay_local
 from lpv.core.support.limits import PATIENCE
@@ -62,18 +60,9 @@ class Snapshot:
 def watch(seconds: float) -> Snapshot:
     """Join the graph of this shell's domain and look around."""
     stay_local()
-    context = Context()
-    rclpy.init(context=context)
-    options: Any = {'enable_rosout': False, 'start_parameter_services': False, 'context': context}
-    node = rclpy.create_node(f'lpv_doctor_{os.getpid()}', **options)
-    executor = SingleThreadedExecutor(context=context)
-    executor.add_node(node)
-    try:
+    options = {'enable_rosout': False, 'start_parameter_services': False}
+    with node_alone(f'lpv_doctor_{os.getpid()}', **options) as (node, executor):
         return _look(node, executor, seconds)
-    finally:
-        executor.shutdown()
-        node.destroy_node()
-        rclpy.shutdown(context=context)
 
 
 def _look(node: Any, executor: Any, seconds: float) -> Snapshot:
