@@ -318,9 +318,10 @@ def mixed(seed):
         kind = random.integers(9) if k else 0
         if kind < 4:
             fields, sent = {name: pair() for name in VECTORS}, {'names': PAIR}
-            if kind == 2:
-                fields['velocity'], sent['velocity'] = [math.nan] * 2, [7.0]
-            elif kind == 3:  # more joints, in disorder, and no efforts
+            if kind == 2:  # of one of the joints alone: nobody knows of which
+                entries.append(('/joint_states', stamp, fields | sent | {'velocity': [7.0]}))
+                continue
+            if kind == 3:  # more joints, in disorder, and no efforts
                 sent = {name: [9.0, *values[::-1]] for name, values in fields.items()}
                 sent |= {'names': ('grip', *PAIR[::-1]), 'effort': []}
                 fields['effort'] = [math.nan] * 2
@@ -425,12 +426,19 @@ def test_given_arrays_that_do_not_fit_when_loaded_then_it_is_said(tmp_path, monk
     monkeypatch.setattr(decoder, '_MOST_ATTEMPTS', attempts)
     entries = []
     for k in range(4):
-        entries += [measure(k, ZERO), ('/torque_command', k, {'torque': [0.0] * (2 + (k == 2))}),
+        entries += [measure(k, ZERO), measure(9, ZERO, velocity=[0.0]), measure(9, [0.0] * 3),
+                    ('/torque_command', k, {'torque': [0.0] * (2 + (k == 2))}),
                     ('/fault_estimate', k, {'bound': [0.1] * (2 if k else 1)})]  # fmt: skip
     record = load_run(write(tmp_path / 'bag', entries), joint_names=PAIR)
     assert list(record.stamps['torque_command']) == [0, 1, 3]
     assert list(record.stamps['fault_estimate']) == [1, 2, 3]
-    assert [w for w in record.warnings if 'number of joints does not fit' in w and ': 1 ' in w]
+    assert list(record.stamps['joint_states']) == [0, 1, 2, 3]
+    left_out = [w.split()[:2] for w in record.warnings if 'number of joints does not fit' in w]
+    assert left_out == [
+        ['/joint_states:', '8'],
+        ['/torque_command:', '1'],
+        ['/fault_estimate:', '1'],
+    ]
 
 
 @pytest.mark.parametrize('stamps', [[], [5], [5, 5, 5], [0, 1]])

@@ -14,6 +14,7 @@ from rosbags.interfaces import Connection
 from lpv.bag.errors import BagError
 from lpv.bag.rosbag.reading import BagReader, open_bag
 from lpv.bag.run.decoder import Columns, Decoder, Table
+from lpv.core.monitoring.joint_order import JointOrder
 from lpv.core.serial_arm.diagnosis.alarms import Alarm, AlarmEvent, Mode, subject
 from lpv.core.support.errors import SampleError
 from lpv.core.support.timestamps import NANOSECONDS, to_nanoseconds
@@ -44,6 +45,8 @@ ALARMS, ALARM_TYPE = 'fault_alarm', 'lpv_msgs/msg/FaultAlarm'
 DIAGNOSTICS, DIAGNOSTICS_TYPE = '/diagnostics', 'diagnostic_msgs/msg/DiagnosticArray'
 _ENOUGH = 20
 """Messages that tell what a topic carries, where several nodes publish on it."""
+_OTHERS = 'is not in joint_states'
+"""Why a message of other joints, as of a gripper, is left out without a warning."""
 _LOG = logging.getLogger(__name__)
 _TYPES = {**{name: msgtype for name, (msgtype, _) in STREAMS.items()}, ALARMS: ALARM_TYPE}
 _NEEDED = {msgtype: ('header', *fields) for msgtype, fields in STREAMS.values()}
@@ -238,7 +241,8 @@ class _Stream:
         for name in self.joints:
             if name not in names:
                 there = ', '.join(names) or 'no joint'
-                raise SampleError(f'joint {name!r} is not in joint_states, which has {there}')
+                raise SampleError(f'joint {name!r} {_OTHERS}, which has {there}')
+        JointOrder(self.joints).pick(message)  # refuses arrays of other sizes
         return [names.index(name) for name in self.joints], len(names)
 
     def _fitting(self, message: Any) -> Columns:
@@ -277,7 +281,8 @@ class _Stream:
             if count := len(stamps) - len(kept):
                 text = 'messages have the stamp of another one, the last one of each stamp counts'
                 warn(f'{topic}: {count} {text}')
-        if (count := sum(self.decoder.rejected.values())) and name != 'joint_states':
+        rejected = self.decoder.rejected.items()
+        if count := sum(often for why, often in rejected if _OTHERS not in why):
             warn(f'{topic}: {count} messages whose number of joints does not fit are left out')
 
 
