@@ -3,6 +3,7 @@ from glob import glob
 from setuptools import find_packages, setup
 
 PACKAGE = 'lpv_bringup'
+FOLDERS = 'arms campaigns columns config gains launch requirements scenarios urdf'.split()
 
 setup(
     name=PACKAGE,
@@ -11,15 +12,7 @@ setup(
     data_files=[
         ('share/ament_index/resource_index/packages', ['resource/' + PACKAGE]),
         ('share/' + PACKAGE, ['package.xml']),
-        (f'share/{PACKAGE}/arms', glob('arms/*')),
-        (f'share/{PACKAGE}/campaigns', glob('campaigns/*')),
-        (f'share/{PACKAGE}/columns', glob('columns/*')),
-        (f'share/{PACKAGE}/config', glob('config/*')),
-        (f'share/{PACKAGE}/gains', glob('gains/*')),
-        (f'share/{PACKAGE}/launch', glob('launch/*')),
-        (f'share/{PACKAGE}/requirements', glob('requirements/*')),
-        (f'share/{PACKAGE}/scenarios', glob('scenarios/*')),
-        (f'share/{PACKAGE}/urdf', glob('urdf/*')),
+        *((f'share/{PACKAGE}/{name}', glob(f'{name}/*')) for name in FOLDERS),
     ],
     install_requires=['setuptools'],
     extras_require={'test': ['pytest']},
