@@ -3,7 +3,9 @@ from glob import glob
 from setuptools import find_packages, setup
 
 PACKAGE = 'lpv_bringup'
-FOLDERS = 'arms campaigns columns config gains launch requirements scenarios urdf'.split()
+FOLDERS = (
+    'arms', 'campaigns', 'columns', 'config', 'gains', 'launch', 'requirements', 'scenarios',
+    'urdf')  # fmt: skip
 
 setup(
     name=PACKAGE,

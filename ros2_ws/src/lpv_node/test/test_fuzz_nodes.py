@@ -16,9 +16,10 @@ from lpv.core.support.timestamps import leading_stamp, set_stamp
 from lpv_msgs.msg import FaultAlarm, StateEstimate
 from lpv_node.recorder.input import Heard
 from lpv_node.recorder.node import RecorderNode
-from lpv_node.view import server, topics
+from lpv_node.view import server
 from lpv_node.view.foxglove_bridge import FoxgloveBridge
 from lpv_node.view.node import ViewNode
+from lpv_node.view.topics import TOPICS, Inbox
 
 pytestmark = [pytest.mark.ros, pytest.mark.fuzz]
 KINDS = (JointState, StateEstimate, FaultAlarm)
@@ -86,8 +87,7 @@ class View:
         node._server.frame = lambda frame: self.frames.append(server.encode(frame))
         bridge, refuse = Bridge(), node._refusals.add
         node._inboxes = [
-            topics.Inbox(one, partial(bridge.forward, one.name, one.every), 0.0, refuse)
-            for one in topics.TOPICS
+            Inbox(one, partial(bridge.forward, one.name, one.every), 0.0, refuse) for one in TOPICS
         ]
 
     def good(self, kind):

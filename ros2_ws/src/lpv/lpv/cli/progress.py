@@ -5,14 +5,13 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from lpv.core.support.limits import PATIENCE, QUIET
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-_spinner: Any = None
 _bars = 0
 
 
@@ -27,33 +26,16 @@ def announced(text: str) -> Iterator[None]:
     finally:
         done.set()
         thread.join()
-        _stop_spinner()
 
 
 def _announce(text: str, done: threading.Event) -> None:
-    global _spinner
     begin = time.monotonic()
     if done.wait(QUIET) or _bars:
-        return
-    if sys.stdout.isatty() and sys.stderr.isatty():
-        from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
-
-        columns = SpinnerColumn(), TextColumn('{task.description}'), TimeElapsedColumn()
-        _spinner = Progress(*columns, transient=True)
-        _spinner.add_task(text)
-        _spinner.start()
         return
     print(f'{text} ...', file=sys.stderr, flush=True)
     while not done.wait(2.0 * PATIENCE):
         if not _bars:
             print(f'  {time.monotonic() - begin:.0f} s', file=sys.stderr, flush=True)
-
-
-def _stop_spinner() -> None:
-    global _spinner
-    if _spinner is not None:
-        _spinner.stop()
-    _spinner = None
 
 
 @contextmanager
@@ -65,7 +47,6 @@ def bar(
     from rich import progress as rich
 
     count = '{:.1f}/{:.1f} ' + unit if unit else '{:.0f}/{:.0f}'
-    _stop_spinner()
     _bars += 1
     said = time.monotonic()
     columns = [

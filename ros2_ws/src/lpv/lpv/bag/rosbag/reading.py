@@ -73,9 +73,11 @@ class BagReader:
 
     @functools.cached_property
     def typestore(self) -> Typestore:
-        """Types as the bag defines them; BagError if it defines none that make sense."""
+        """Types as the bag defines them, else standard ones; BagError if they make no sense."""
+        there = ((c.msgtype, c.msgdef, c.digest) for c in self.connections)
+        defined = tuple(dict.fromkeys(one for one in there if one[1].format != _NONE.format))
         with damage(self.path):
-            return _types_of(self.connections)
+            return _types_by(defined) if defined else standard_types()
 
     def warn(self, text: str) -> None:
         """Note, and log, what is wrong with the bag."""
@@ -397,13 +399,6 @@ def _connection(file: McapFile, number: int, hashes: dict[str, str]) -> Connecti
     ext = ConnectionExtRosbag2(channel.message_encoding, profiles)
     count = file.counts.get(number, 0)
     return Connection(number, channel.topic, name, definition, digest, count, ext, None)
-
-
-def _types_of(connections: Sequence[Connection]) -> Typestore:
-    """Types as a bag defines them; the standard ones and lpv_msgs where it defines none."""
-    there = ((c.msgtype, c.msgdef, c.digest) for c in connections)
-    defined = tuple(dict.fromkeys(one for one in there if one[1].format != _NONE.format))
-    return _types_by(defined) if defined else standard_types()
 
 
 @functools.lru_cache(maxsize=4)  # a command opens few kinds of bags, each several times

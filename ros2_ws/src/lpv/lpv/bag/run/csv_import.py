@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from decimal import Decimal
 from itertools import chain
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from lpv.bag.rosbag.writing import BagWriter
 from lpv.core.support.config import Section, read_yaml
@@ -110,21 +110,24 @@ def read_samples(
         for cells in filter(None, reader):
             if fault is not None:
                 raise fault
-            row = _Row(dict(zip(header, cells)), f'{source}: line {reader.line_num}')
+            row, line = dict(zip(header, cells)), f'{source}: line {reader.line_num}'
             try:
                 if len(cells) < len(header):
-                    raise CsvError(f'{row.line} has too few cells')
+                    raise CsvError(f'{line} has too few cells')
                 values = [
-                    [row.number(n, float, s) for n, s in zip(names, scale)] if any(names) else []
+                    [_number(row, n, line, float, s) for n, s in zip(names, scale)]
+                    if any(names)
+                    else []
                     for names, scale in vectors
                 ]
                 # Decimal: a float of epoch seconds is 200 ns off; an int may have too many digits.
-                time = row.number(columns.time, Decimal, unit).to_integral_value()
+                time = _number(row, columns.time, line, Decimal, unit).to_integral_value()
                 if last < 0 and columns.start is not None:
                     offset = round(columns.start * 1e9) - time
                 stamp = time + offset
                 if not 0 <= stamp <= LAST_STAMP:
-                    raise row.error(columns.time, f'is no time of a stamp [{columns.time_unit}]')
+                    cell = f'column {columns.time!r}: {row[columns.time].strip()[:40]!r}'
+                    raise CsvError(f'{line}, {cell} is no time of a stamp [{columns.time_unit}]')
             except CsvError as error:
                 # In the very last line it is that of a recording that was cut off.
                 fault = error
@@ -142,23 +145,13 @@ def read_samples(
         warnings.append(f'time stands still or runs backwards {backwards} times')
 
 
-class _Row(NamedTuple):
-    """Cells of one line."""
-
-    cells: dict[str, str]
-    line: str  # for error messages
-
-    def number(self, name: str, kind: Any, unit: float) -> Any:
-        """Number of units in a cell; NaN where there is no such cell, or an empty one."""
-        text = self.cells[name].strip() if name else ''
-        try:
-            value = kind(text or 'nan') * unit
-            if kind is Decimal and not value.is_finite():
-                raise self.error(name)
+def _number(cells: dict[str, str], name: str, line: str, kind: Any, unit: float) -> Any:
+    """Number of units in a cell; NaN where there is no such cell, or an empty one."""
+    text = cells[name].strip() if name else ''
+    try:
+        value = kind(text or 'nan') * unit
+        if kind is not Decimal or value.is_finite():
             return value
-        except (ArithmeticError, ValueError):
-            raise self.error(name) from None
-
-    def error(self, name: str, why: str = 'is not a number that can be used') -> CsvError:
-        text = self.cells[name].strip()[:40]
-        return CsvError(f'{self.line}, column {name!r}: {text!r} {why}')
+    except (ArithmeticError, ValueError):
+        pass
+    raise CsvError(f'{line}, column {name!r}: {text[:40]!r} is not a number that can be used')
