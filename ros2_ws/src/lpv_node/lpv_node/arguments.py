@@ -9,16 +9,14 @@ from rclpy.signals import SignalHandlerOptions
 
 from lpv.core.support.errors import ConfigError
 
-_FAST_DDS_2 = ('humble', 'jazzy')
-"""Distributions whose Fast DDS does not read profiles of the next one."""
 _PROFILE_VARIABLES = ('FASTDDS_DEFAULT_PROFILES_FILE', 'FASTRTPS_DEFAULT_PROFILES_FILE')
 
 
 def use_profiles() -> None:
     """Let Fast DDS use this package's ``fastdds.xml`` from rclpy.init on, but for own profiles."""
     if not any(os.environ.get(name) for name in _PROFILE_VARIABLES):
-        is_old = os.environ.get('ROS_DISTRO') in _FAST_DDS_2
-        name = 'fastdds_2.xml' if is_old else 'fastdds.xml'
+        # Fast DDS 2 does not read profiles of the next one.
+        name = 'fastdds_2.xml' if os.environ.get('ROS_DISTRO') == 'jazzy' else 'fastdds.xml'
         os.environ[_PROFILE_VARIABLES[0]] = str(Path(__file__).with_name(name))
 
 
