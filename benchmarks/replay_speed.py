@@ -108,7 +108,7 @@ def _file(bag):
     return file
 
 
-OURS = {'replay': replay, 'decode': decode}
+OURS = {'lpv replay, all': replay, 'lpv replay, decoding only': decode}
 SLOW = {'rosbags AnyReader': rosbags}
 CANDIDATES = {**OURS, 'roboto-mcap-codec': roboto, **SLOW}
 
@@ -194,9 +194,7 @@ def main():
         assert result['messages'] == 2 * count, (name, result)
         rows.append(
             (
-                {'replay': 'lpv replay, all', 'decode': 'lpv replay, decoding only'}.get(
-                    name, name
-                ),
+                name,
                 f'{count / long[1] * arguments.hours:.3g}',
                 f'{result["wall"]:.2f}',
                 f'{result["cpu"]:.2f}',

@@ -130,11 +130,14 @@ def bag_information(
     end = max((last for _, _, last, count in files if count), default=0)
     described = [
         {
-            'name': c.topic,
-            'type': c.msgtype,
-            'serialization_format': 'cdr',
-            'offered_qos_profiles': dump_qos_v9(offered_qos(c)),
-            'type_description_hash': c.digest,
+            'topic_metadata': {
+                'name': c.topic,
+                'type': c.msgtype,
+                'serialization_format': 'cdr',
+                'offered_qos_profiles': dump_qos_v9(offered_qos(c)),
+                'type_description_hash': c.digest,
+            },
+            'message_count': sum(one.counts[c.topic] for one in contents),
         }
         for c in topics
     ]
@@ -150,10 +153,7 @@ def bag_information(
         'version': VERSION,
         'storage_identifier': 'mcap',
         **span(start, end, sum(count for *_, count in files)),
-        'topics_with_message_count': [
-            {'topic_metadata': topic, 'message_count': sum(one.counts[c.topic] for one in contents)}
-            for c, topic in zip(topics, described)
-        ],
+        'topics_with_message_count': described,
         'compression_format': '',
         'compression_mode': '',
         'relative_file_paths': [name for name, *_ in files],

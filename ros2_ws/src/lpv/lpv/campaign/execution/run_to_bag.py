@@ -88,20 +88,15 @@ def write_signals(arm: SerialArm, run: Run, path: str | Path) -> None:
          {'torque': command, 'safe_stop': stop}),
         ('reference', 'lpv_msgs/msg/JointReference', kept & ~stop, reference),
     )  # fmt: skip
-    stamps = stamps_of(run).tolist()
+    names_of = {'joint_states': {'name': list(arm.joint_names)}}
     with BagWriter(path) as bag:
-        messages = BagMessages(bag.typestore, arm.name)
-        of_joints = BagMessages(bag.typestore, 'base_link')
+        frames = {name: 'base_link' if name in names_of else arm.name for name, *_ in topics}
+        messages = {name: BagMessages(bag.typestore, frame) for name, frame in frames.items()}
         for name, msgtype, _, _ in topics:
             bag.add_topic(f'{NAMESPACE}/{name}', msgtype)
-        for k, stamp in enumerate(stamps):
+        for k, stamp in enumerate(stamps_of(run).tolist()):
             for name, msgtype, chosen, fields in topics:
-                if not chosen[k]:
-                    continue
-                row = {field: values[k] for field, values in fields.items()}
-                message = (
-                    of_joints.joint_state(stamp, arm.joint_names, *row.values())
-                    if name == 'joint_states'
-                    else messages.make(msgtype, stamp, row)
-                )
-                bag.write(f'{NAMESPACE}/{name}', stamp, message)
+                if chosen[k]:
+                    row = {field: values[k] for field, values in fields.items()}
+                    message = messages[name].make(msgtype, stamp, names_of.get(name, {}) | row)
+                    bag.write(f'{NAMESPACE}/{name}', stamp, message)
