@@ -2,7 +2,6 @@
 
 import contextlib
 from collections import Counter
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple
 
@@ -21,16 +20,15 @@ class TopicRecovery(NamedTuple):
     lost: int  # messages that were recorded and are not; at least, where the end is missing
 
 
-@dataclass
-class Recovery:
+class Recovery(NamedTuple):
     """Outcome of a recovery."""
 
-    topics: dict[str, TopicRecovery] = field(default_factory=dict)  # by topic
-    damages: list[str] = field(default_factory=list)  # what was wrong
-    end_missing: bool = False  # whether the last file is cut: the recording was not finished
-    cut: list[str] = field(default_factory=list)  # files whose ends are lost; how much is not known
-    end: int = 0  # the last message that was recovered, from the first one on [ns]
-    attachments: int = 0  # attachments that were left out
+    topics: dict[str, TopicRecovery]  # by topic
+    damages: list[str]  # what was wrong
+    end_missing: bool  # whether the last file is cut: the recording was not finished
+    cut: list[str]  # files whose ends are lost; how much is not known
+    end: int  # the last message that was recovered, from the first one on [ns]
+    attachments: int  # attachments that were left out
 
     @property
     def lost(self) -> int:
@@ -46,7 +44,7 @@ class Recovery:
 def recover(path: str | Path, out: str | Path | None = None, preset: str = 'zstd_fast') -> Recovery:
     """Write what can be read of a bag into a new one, or examine it only."""
     # Of a chunk whose checksum is wrong nobody knows which message is wrong: it is left out.
-    path, result, found = Path(path), Recovery(), Counter[str]()
+    path, found, end = Path(path), Counter[str](), 0
     with contextlib.ExitStack() as stack:
         reader = stack.enter_context(open_bag(path))
         writer = None if out is None else stack.enter_context(BagWriter(out, preset))
@@ -60,17 +58,16 @@ def recover(path: str | Path, out: str | Path | None = None, preset: str = 'zstd
                 known = writer.counts
                 channels = [writer.channel(topic) if topic in known else -1 for topic in topics]
                 writer.write_chunk(block.copied(np.array(channels)[block.connection]))
-            result.end = max(result.end, int(block.time.max()) - reader.start_time)
-        result.topics = {
+            end = max(end, int(block.time.max()) - reader.start_time)
+        result = {
             topic: TopicRecovery(found[topic], max(0, reader.said[topic] - found[topic]))
             for topic in sorted({*found, *reader.said})
         }
-        result.damages, result.cut = list(reader.warnings), reader.cut
-        result.end_missing = not reader.finished
-        result.attachments = sum(file.attachments for file in reader.files)
+        damages = list(reader.warnings)
         if writer is not None:
             missing = writer.close(reader.known)
             if missing:
                 raise ConfigError('--out', f'cannot be written as a whole: {missing}', str(out))
-            result.damages += copy_run_files(path, writer.path)
-    return result
+            damages += copy_run_files(path, writer.path)
+        attachments = sum(file.attachments for file in reader.files)
+    return Recovery(result, damages, not reader.finished, reader.cut, end, attachments)
