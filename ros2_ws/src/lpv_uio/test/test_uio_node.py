@@ -352,32 +352,24 @@ def test_given_gaps_when_observed_then_the_python_api_answers_the_same():
             assert [*told.state] == [int(one) for one in update.states]
 
 
-def test_given_a_clock_that_is_set_back_when_no_measurement_comes_then_it_is_stale(
-    arm, monkeypatch
+def test_given_a_clock_that_nobody_tells_or_is_set_back_when_measurements_end_then_it_is_stale(
+    monkeypatch,
 ):
-    monkeypatch.setattr(arm.node, 'elapsed', lambda: 1000 * 10**9)
-    arm.recover()
-    arm.node._check_silence()
-    for seconds, is_stale in ((0, False), (1, True)):
-        monkeypatch.setattr(arm.node, 'elapsed', lambda now=seconds: now * 10**9)
-        arm.node._check_silence()
-        assert arm.node._stale == is_stale
-    said = []
-    monkeypatch.setattr(arm.node.get_logger(), 'warning', said.append)
-    for seconds in (0, 100, 0, 6):
-        monkeypatch.setattr(arm.node, 'elapsed', lambda now=seconds: now * 10**9)
-        arm.node._check_silence()
-    assert ['no new measurement' in text for text in said] == [True, True]
-
-
-def test_given_simulated_time_that_nobody_tells_when_measurements_end_then_it_is_stale(monkeypatch):
     with node_of(UioNode, arm_file='paper', use_sim_time='true') as node:
-        Arm(node).recover()
-        for now in (10**9, 2 * 10**9):
-            time_now = SimpleNamespace(nanoseconds=now)
-            monkeypatch.setattr(node, '_steady', SimpleNamespace(now=lambda one=time_now: one))
+        said = []
+        monkeypatch.setattr(node.get_logger(), 'warning', said.append)
+
+        def is_stale(seconds):
+            now = SimpleNamespace(nanoseconds=seconds * 10**9)
+            monkeypatch.setattr(node, '_steady', SimpleNamespace(now=lambda: now))
             node._check_silence()
-            assert node._stale == (now > 10**9)
+            return node._stale
+
+        Arm(node).recover()
+        assert [is_stale(seconds) for seconds in (1000, 0, 1)] == [False, False, True]
+        said.clear()
+        assert all(is_stale(seconds) for seconds in (0, 100, 0, 6))
+        assert ['no new measurement' in text for text in said] == [True, True]
 
 
 def test_given_a_misspelt_tuning_when_started_then_it_is_refused_by_name():

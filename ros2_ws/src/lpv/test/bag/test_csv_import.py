@@ -1,6 +1,7 @@
 """CSV recordings as bags: exact stamps, units, missing values, damaged files."""
 
 import math
+import re
 
 import numpy as np
 import pytest
@@ -59,9 +60,10 @@ def stamps(messages):
     angle=st.sampled_from(sorted(ANGLE_UNITS)), names=st.permutations([*NAMES, 'extra']),
     delimiter=st.sampled_from(',;\t'), end=st.sampled_from(['\n', '\r\n', '\n\n']),
     outside=st.sampled_from([('', ''), ('\ufeff', '\n'), ('\ufeff', ''), ('', '\r\n')]),
+    without=st.sampled_from([(), ('u1',), ('u1', 'u2')]), slides=st.booleans(),
 )  # fmt: skip
 def test_given_any_recording_when_imported_then_every_number_is_where_it_belongs(
-    convert, rows, start, unit, angle, names, delimiter, end, outside
+    convert, rows, start, unit, angle, names, delimiter, end, outside, without, slides
 ):
     times = sorted(rows)
     shift = 0 if start is None else round(start * SECOND) - times[0]
@@ -74,30 +76,18 @@ def test_given_any_recording_when_imported_then_every_number_is_where_it_belongs
         lines.append(delimiter.join(texts[name] for name in names))
     keep = 'keep: true' if start is None else f'start: {start}'
     columns = COLUMNS.replace('unit: s', f'unit: {unit}, {keep}') + f'angle_unit: {angle}\n'
+    columns = re.sub(f', effort: ({"|".join(without)})' if without else '^$', '', columns)
+    columns = columns.replace('w2', 'w2, unit: m' if slides else 'w2')
     text = outside[0] + end.join(lines) + outside[1]
     warnings, messages, _ = convert(text, columns, delimiter=delimiter)
     assert (warnings, stamps(messages)) == ([], [time + shift for time in times])
-    factor = np.repeat([ANGLE_UNITS[angle], 1.0], [4, 2])
+    turns, slid = ANGLE_UNITS[angle], 1.0 if slides else ANGLE_UNITS[angle]
+    efforts = [NAN if name in without else 1.0 for name in ('u1', 'u2')]
+    factor = np.array([turns, slid, turns, slid, *efforts])[: 4 if len(without) == 2 else 6]
     for time, m in zip(times, messages):
         assert m.name == ['shoulder', 'elbow']
         values = np.concatenate([m.position, m.velocity, m.effort])
-        np.testing.assert_allclose(values, factor * rows[time], rtol=1e-15)
-
-
-def test_given_joints_without_efforts_when_imported_then_messages_have_none_or_nan(convert):
-    one = COLUMNS.replace(', effort: u1', '')
-    _, (message,), _ = convert('t,q1,q2,w1,w2,u2\n0,1,2,3,4,5\n', one)
-    np.testing.assert_array_equal(message.effort, [NAN, 5.0])
-    _, (message,), _ = convert('t,q1,q2,w1,w2\n0,1,2,3,4\n', one.replace(', effort: u2', ''))
-    assert (message.effort.tolist(), message.velocity.tolist()) == ([], [3.0, 4.0])
-
-
-def test_given_degrees_when_imported_then_a_joint_with_a_unit_of_its_own_has_that(convert):
-    columns = COLUMNS.replace('u2}', 'u2, unit: m}') + 'angle_unit: deg\n'
-    _, (message,), _ = convert(f'{HEADER}0,90,0.2,180,0.3,1,2\n', columns)
-    assert message.position.tolist() == pytest.approx([math.pi / 2, 0.2])
-    assert message.velocity.tolist() == pytest.approx([math.pi, 0.3])
-    assert message.effort.tolist() == [1.0, 2.0]
+        np.testing.assert_allclose(values, factor * rows[time][: len(factor)], rtol=1e-15)
 
 
 def test_given_a_cut_off_line_or_time_that_turns_back_when_imported_then_the_rest_stays(convert):

@@ -49,15 +49,27 @@ def found(findings):
     return [f.check for f in bad(findings)]
 
 
+def about_its_centre(link):
+    """A link whose file gives its inertia about the centre of mass."""
+    mass, x, y, z = link.mass, *link.first_moment
+    moved = np.array([y * y + z * z, -x * y, x * x + z * z, -x * z, -y * z, x * x + y * y]) / mass
+    return replace(link, inertia=tuple((np.array(link.inertia) - moved).tolist()))
+
+
 @pytest.fixture(scope='module')
 def files(paper_gains, tmp_path_factory):
     """A folder with a serial arm, and with files that cannot be used."""
     folder = tmp_path_factory.mktemp('files')
     crane_file(folder)
     ur10 = load_arm(BRINGUP / 'arms' / 'ur10.yaml')
-    wrist = replace(ur10.joints[5], type='prismatic')
-    joints = (*ur10.joints[:5], wrist)
-    save_arm(replace(ur10, name='sliding', joints=joints), folder / 'sliding.yaml')
+    for name, (number, changes) in {
+        'sliding': (5, {'type': 'prismatic'}),
+        'braked': (5, {'rotor_inertia': 0.0, 'friction': JointFriction(viscous=500.0)}),
+        'centred': (1, {'link': about_its_centre(ur10.joints[1].link)}),
+    }.items():
+        joints = list(ur10.joints)
+        joints[number] = replace(joints[number], **changes)
+        save_arm(replace(ur10, name=name, joints=tuple(joints)), folder / f'{name}.yaml')
     observer = replace(paper_gains.observer, kappa=3.0 * paper_gains.observer.kappa)
     save_gains(replace(paper_gains, observer=observer), folder / 'changed.yaml')
     scenario = (BRINGUP / 'scenarios' / 'two_faults.yaml').read_text()
@@ -84,6 +96,8 @@ CHECKS = [
     ('', 'ur10', UR10_GAINS, None, "loop of arm 'ur10' holds"),
     ('', 'panda', PANDA_GAINS, None, "loop of arm 'panda' holds"),
     ('arm', './light.yaml', None, None, r'joints\[0\].link.mass'),
+    ('arm', './centred.yaml', None, None, ' the link of shoulder_lift_joint give first moments'),
+    ('arm', './braked.yaml', None, 'ur10', r'joints\[5\].rotor_inertia.*arm-file'),
     ('gains', 'real_arm', GAINS, None, "another arm.*'paper'.*'real_arm'.*--arm real_arm"),
     ('gains', 'paper', './changed.yaml', None, 'does not hold: observer, link 1'),
     *(('gains', 'paper', f'./{bad}.yaml', None, 'lpv design')
@@ -106,37 +120,16 @@ def test_given_files_when_checked_then_all_fits_or_it_is_said_why_not(
     monkeypatch.setitem(sys.modules, 'mujoco', None)
     names = (name and name.replace('./', f'{files}/') for name in (arm, gains, scenario))
     model, findings = check_files(*names)
-    assert (model is None) == (check == 'arm')
+    assert (model is None) == (arm == './light.yaml')
     if check:
         (finding,) = bad(findings)
-        assert (finding.check, finding.level) == (check, Level.ERROR)
+        level = Level.WARN if arm == './centred.yaml' else Level.ERROR
+        assert (finding.check, finding.level) == (check, level)
     else:
         _, finding, *_ = findings
         assert model.name in arm and bad(findings) == []
         assert [f.check for f in findings] == ['arm', 'gains', 'scenario'][: 2 + bool(scenario)]
     assert re.search(said, f'{finding.text} {finding.remedy}', re.DOTALL)
-
-
-def test_given_friction_that_cannot_be_simulated_when_checked_then_the_arm_is_named(tmp_path):
-    arm = load_arm(BRINGUP / 'arms' / 'ur10.yaml')
-    wrist = replace(arm.joints[5], rotor_inertia=0.0, friction=JointFriction(viscous=500.0))
-    save_arm(replace(arm, joints=(*arm.joints[:5], wrist)), tmp_path / 'arm.yaml')
-    (finding,) = bad(check_files(str(tmp_path / 'arm.yaml'), None, 'ur10')[1])
-    assert (finding.check, finding.level) == ('arm', Level.ERROR)
-    assert 'joints[5].rotor_inertia' in finding.text and 'arm-file' in finding.remedy
-
-
-def test_given_an_inertia_about_the_centre_of_mass_when_checked_then_its_link_is_named(tmp_path):
-    arm = load_arm(BRINGUP / 'arms' / 'ur10.yaml')
-    link = arm.joints[1].link
-    mass, x, y, z = link.mass, *link.first_moment
-    moved = np.array([y * y + z * z, -x * y, x * x + z * z, -x * z, -y * z, x * x + y * y]) / mass
-    link = replace(link, inertia=tuple((np.array(link.inertia) - moved).tolist()))
-    joints = (arm.joints[0], replace(arm.joints[1], link=link), *arm.joints[2:])
-    save_arm(replace(arm, joints=joints), tmp_path / 'arm.yaml')
-    finding, _ = check_files(str(tmp_path / 'arm.yaml'), None, None)[1]
-    assert (finding.check, finding.level) == ('arm', Level.WARN)
-    assert finding.text.endswith(f' the link of {arm.joint_names[1]}')
 
 
 def test_given_this_environment_when_checked_then_nothing_is_found(monkeypatch):

@@ -156,28 +156,34 @@ def test_given_faults_and_alarms_when_reported_then_misses_and_false_alarms_are_
     assert '<b>' not in page and '<b>left</b>' in [cells[0] for cells in rows(page)]
 
 
-def test_given_a_spike_or_a_wrong_rate_when_its_alarm_comes_later_then_it_is_not_false():
-    record = made_up([(0, 200, 201)], [event(208, 208, kind='spike')])
-    (found,) = episodes(record)
-    assert not found.false_alarm and found.delay == pytest.approx(0.008)
-    assert missed_faults(record, [found]) == []
-    for kind, false in (('rate_bias', False), ('bias', True)):  # the truth has no rates' faults
-        (found,) = episodes(made_up([], [event(203, 200, kind=kind)]))
-        assert found.false_alarm is false and found.delay is None
+LASTED = [event(210, 205), event(400, 205, 210, **CLEARED)]
+JUDGED = [
+    ([(200, 201)], [event(208, 208, kind='spike')], 0, 0, 8),
+    ([], [event(203, 200, kind='rate_bias')], 0, 0, None),  # the truth has no rates' faults
+    ([], [event(203, 200, kind='bias')], 1, 0, None),
+    # The alarm is that of a reading that jumps back.
+    *(([(200, 400)], [alarm], 0, 1, None) for alarm in (event(400), event(420, 402))),
+    ([(200, 400)], [event(430, 300)], 0, 0, 230),
+    ([(200, 400)], [event(600)], 1, 1, None),
+    ([(100, 200)], LASTED, 0, 1, None),
+    ([(100, 220)], LASTED, 0, 0, 110),
+    *(([span], LASTED, 1, 0, None) for span in ((300, 350), (390, 500))),
+    ([(600, 800)], LASTED, 1, 1, None),
+]
+"""Spans of faults, alarms; how many of them are false, faults that are missed, the delay [ms]."""
 
 
-def test_given_a_reading_that_jumps_back_when_reported_then_its_fault_is_missed_without_false_alarm(
-    page,
+@pytest.mark.parametrize('faults, alarms, false, missed, delay', JUDGED)
+def test_given_a_fault_and_an_alarm_when_reported_then_it_is_found_missed_or_a_false_alarm(
+    page, faults, alarms, false, missed, delay
 ):
-    late = event(430, 300)
-    for alarms, false, missed in (
-        ([event(400)], 0, 1), ([event(420, 402)], 0, 1), ([late], 0, 0), ([event(600)], 1, 1),
-    ):  # fmt: skip
-        values = page(made_up([(0, 200, 400)], alarms))
-        numbers = [tile(values, name).value for name in ('false alarms', 'missed faults')]
-        assert numbers == [str(false), str(missed)]
-    (found,) = episodes(made_up([(0, 200, 400)], [late]))
-    assert found.delay == pytest.approx(0.23)
+    record = made_up([(0, *span) for span in faults], alarms)
+    values, (found,) = page(record), episodes(record)
+    numbers = [tile(values, name).value for name in ('false alarms', 'missed faults')]
+    assert numbers == [str(false), str(missed)] and found.false_alarm == bool(false)
+    assert found.delay == (None if delay is None else pytest.approx(1e-3 * delay))
+    spans_missed = [(1000 * f.start, 1000 * f.end) for f in missed_faults(record, [found])]
+    assert spans_missed == faults * missed
 
 
 def test_given_a_prismatic_joint_when_reported_then_its_figures_are_in_metres(paper_arm, capsys):
@@ -233,15 +239,6 @@ def test_given_events_of_two_sensors_when_gathered_then_each_alarm_is_one_episod
     (episode,) = episodes(blind)
     assert (episode.delay, episode.false_alarm, episode.true_onset) == (None, False, None)
     assert missed_faults(blind, []) == []
-
-
-def test_given_an_alarm_from_210_to_400_ms_when_faults_act_then_they_are_missed_outside():
-    alarms = [event(210, 205), event(400, 205, 210, **CLEARED)]
-    outside, touched = [(100, 200), (600, 800)], [(100, 220), (300, 350), (390, 500)]
-    for start, end in outside + touched:
-        record = made_up([(0, start, end)], alarms)
-        found = [(1000 * f.start, 1000 * f.end) for f in missed_faults(record, episodes(record))]
-        assert found == [(start, end)] * ((start, end) in outside)
 
 
 def test_given_stops_and_lost_sensors_when_reported_then_each_has_its_stretch(paper_arm, shown):
