@@ -66,10 +66,10 @@ def test_given_a_lost_connection_when_the_page_is_drawn_then_it_gives_no_verdict
     lost = (('show', 'connection'), HEAD, ('show', 'inject', 'disabled'))
     answers = show(
         *take(model), HEAD, ('set', 'size', '0.7'), ('close',), ('fire', 'theme', 'click'),
-        ('pass', 100), *lost, ('pass', 2000), *take(model), HEAD, ('show', 'size', 'value'),
+        ('pass', 100), *lost, ('pass', 2000), *take(model), *lost, ('show', 'size', 'value'),
     )  # fmt: skip
     gone = ['connection lost, trying again', 'No connection to the node', True]
-    assert answers == ['No sensor fault', *gone, 'No sensor fault', '0.7']
+    assert answers == ['No sensor fault', *gone, 'connected', 'No sensor fault', False, '0.7']
 
 
 @pytest.mark.parametrize('opened', [True, False])

@@ -75,15 +75,16 @@ def test_given_a_bag_when_played_then_a_node_hears_it_at_its_pace_and_names_the_
             assert client.wait(lambda: client.node.count_subscribers(MEASURED) == 2)
             # Slowly: discovery of /clock may take a second or two.
             player = player_of(played, domain, '--rate', '0.5')
-            assert client.wait(lambda: states)
-            begin = time.monotonic()
+            assert client.wait(lambda: states and heard)
+            begin, first = time.monotonic(), to_nanoseconds(heard[-1].clock)
+            assert client.wait(lambda: to_nanoseconds(heard[-1].clock) > START + 2.5 * NANOSECONDS)
+            seconds, last = time.monotonic() - begin, to_nanoseconds(heard[-1].clock)
             assert client.wait(lambda: player.process.poll() is not None)
-            seconds = time.monotonic() - begin
         code, said = player.end()
         ros.end(running)
     assert code == 0 and f'{len(sent)} messages published' in said, said
-    # Of six seconds, counted from the first answer, which may be late, too.
-    assert seconds > 2.0, 'half the rate, twice the time'
+    # Messages may be late where the machine is busy, and then seem a bit faster.
+    assert last - first < 0.75 * NANOSECONDS * seconds, 'half the rate, twice the time'
     clocks = [to_nanoseconds(c.clock) for c in heard]
     assert len(clocks) > 50 and set(np.diff(clocks)) <= {10_000_000 * n for n in range(1, 30)}
     assert START <= clocks[0] < clocks[-1] <= START + 4 * NANOSECONDS

@@ -334,13 +334,6 @@ def cleaned(recording, **changes):
     return clean('test', [one.time], one.position, one.velocity, one.effort)
 
 
-def test_given_readings_that_never_change_when_calibrated_then_it_is_said_which(arm, recording):
-    frozen = recording.position.copy()
-    frozen[:, 1] = frozen[0, 1]
-    with pytest.raises(IdentificationError, match='readings of two never change'):
-        calibrate(arm, [replace(recording, position=frozen)])
-
-
 @pytest.mark.parametrize('order', ['in turn', 'behind each other'])
 def test_given_each_message_twice_when_cleaned_then_it_counts_once(recording, order):
     rows = np.arange(len(recording.time))
@@ -360,13 +353,15 @@ def test_given_few_samples_or_no_motion_then_it_is_said(arm, recording, motion, 
     still = replace(recording, position=0.0 * recording.position, velocity=0.0 * recording.velocity)
     effort = recording.effort[:1200:3]
     partly = replace(recording, effort=recording.effort * [1.0, 0.0, 1.0])
-    for bad, reason in (
-        (recording.rows(slice(300)), 'too short'),
-        (still, 'no joint moves'),
-        (partly, 'efforts of two never change'),
+    frozen = replace(recording, position=recording.position * [1.0, 0.0, 1.0])
+    for use, bad, reason in (
+        (identify, recording.rows(slice(300)), 'too short'),
+        (identify, still, 'no joint moves'),
+        (identify, partly, 'efforts of two never change'),
+        (calibrate, frozen, 'readings of two never change'),
     ):
         with pytest.raises(IdentificationError, match=reason):
-            identify(arm, [bad])
+            use(arm, [bad])
     # Efforts that are next to nothing say nothing of the masses; that is said once.
     weak = replace(recording.rows(slice(0, 1200, 3)), effort=1e-12 * effort)
     found = identify(arm, [weak], refit=True)
