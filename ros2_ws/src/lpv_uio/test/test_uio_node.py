@@ -323,9 +323,7 @@ def test_given_stamps_that_fit_no_stream_when_observed_then_it_is_said_why(
         bag = write_bag(tmp_path / 'bag', entries, {TOPIC: JOINT_STATE})
         monitor = serial_monitor.SerialSensorMonitor('/lpv/uio', node._arm)
         Replay(monitor, estimates_only=True).run(bag, tmp_path / 'out')
-        with open_bag(tmp_path / 'out') as reader:
-            [topic] = [c for c in reader.connections if c.topic == TOPICS['diagnostics'][0]]
-            messages = [data for *_, data in reader.messages([topic])]
+        messages = [data for topic, _, data in contents(tmp_path / 'out')[0] if topic != TOPIC]
         replayed = [deserialize_message(data, DiagnosticArray).status[0] for data in messages]
         told, again = ([(s.level, s.message.split(':')[0]) for s in x] for x in (found, replayed))
         assert told == again and len(told) > 1

@@ -287,7 +287,7 @@ def write(path, entries, topics=()):
         for topic, msgtype in topics:
             writer.add_topic(topic, msgtype)
         for time, (topic, stamp, fields) in enumerate(entries, 1):
-            name = topic.rsplit('/', 1)[-1]
+            name = 'joint_states' if 'names' in fields else topic.rsplit('/', 1)[-1]
             if topic not in writer.counts:
                 writer.add_topic(topic, TYPES[name])
             if name == 'joint_states':
@@ -484,14 +484,9 @@ def test_given_a_gripper_on_a_topic_of_its_own_when_loaded_then_the_joints_choos
         with pytest.raises(BagError, match=told):
             load_run(bag, joint_names=joints)
     # Whatever it is called.
-    with BagWriter(tmp_path / 'other') as writer:
-        messages = BagMessages(writer.typestore, 'arm')
-        for topic, names in (('/joint_states', ['finger']), ('/arm/measured', PAIR)):
-            writer.add_topic(topic, JOINT_STATE)
-            for k in range(3):
-                zeros = [[0.0] * len(names)] * 3
-                writer.write(topic, k, messages.joint_state(k, names, *zeros))
-    assert load_run(writer.path, joint_names=PAIR).topics['joint_states'] == '/arm/measured'
+    others = [measure(k, ZERO, topic='/arm/measured') for k in range(3)]
+    bag = write(tmp_path / 'other', [*(measure(k, [0.5], ['finger']) for k in range(3)), *others])
+    assert load_run(bag, joint_names=PAIR).topics['joint_states'] == '/arm/measured'
 
 
 def test_given_arrays_of_fixed_length_when_loaded_then_it_is_as_ever(tmp_path, monkeypatch):

@@ -445,17 +445,16 @@ def test_given_moving_arms_when_checked_then_units_and_rates_are_as_their_files_
     assert signals.check_use(of(None, without)).check == 'values'
 
 
-def test_given_efforts_of_a_moving_arm_when_checked_then_a_wrong_sign_is_named():
-    for sign, level in ((1.0, Level.OK), (-1.0, Level.ERROR)):
-        finding = signals.check_setup(of(crane(), recorded(crane(), 8.0, sign=sign)), crane())
-        assert finding.level == level
-        assert ('of all joints count against the motion' in finding.text) == (sign < 0.0)
-
-
-def test_given_a_reading_that_steps_when_checked_then_the_diagnosis_names_it():
-    messages = recorded(crane(), 8.0)
+@pytest.mark.parametrize(('sign', 'step', 'level', 'said'), [
+    (1.0, 0.0, Level.OK, ''), (-1.0, 0.0, Level.ERROR, 'of all joints count against the motion'),
+    (1.0, 0.1, Level.WARN, '7.0 s: ALARM, encoder2: error +0.1'),
+])  # fmt: skip
+def test_given_a_moving_arm_when_checked_then_a_wrong_sign_or_a_faulty_reading_is_named(
+    sign, step, level, said
+):
+    messages = recorded(crane(), 8.0, sign=sign)
     for late in messages[7 * len(messages) // 8 :]:
-        late.position[1] += 0.1
+        late.position[1] += step
     finding = signals.check_setup(of(crane(), messages), crane())
-    assert (finding.level, finding.check) == (Level.WARN, 'health')
-    assert '7.0 s: ALARM, encoder2: error +0.1' in finding.text
+    assert finding.level == level and said in finding.text
+    assert (finding.check == 'health') == (step > 0.0)

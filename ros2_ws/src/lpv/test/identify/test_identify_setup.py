@@ -285,23 +285,14 @@ def test_given_a_known_arm_when_calibrated_then_its_second_encoder_is_kept(
     assert load_arm(out).joints[0].sensors.second_encoder.name == 'one_pos'
 
 
-def swapped(recording):
-    parts = ('position', 'velocity', 'effort')
-    return replace(recording, **{name: getattr(recording, name)[:, [0, 2, 1]] for name in parts})
-
-
-def turned(recording):
-    parts = ('position', 'velocity', 'effort')
-    return replace(recording, **{name: getattr(recording, name) * [1, -1, 1] for name in parts})
+def changed(change, *names):
+    """A recording whose signals of some names, or all, are others."""
+    names = names or ('position', 'velocity', 'effort')
+    return lambda r: replace(r, **{name: change(getattr(r, name)) for name in names})
 
 
 def efforts(change):
-    return lambda recording: replace(recording, effort=change(recording.effort))
-
-
-def in_degrees(recording):
-    position, velocity = np.degrees(recording.position), np.degrees(recording.velocity)
-    return replace(recording, position=position, velocity=velocity)
+    return changed(change, 'effort')
 
 
 def off(error):
@@ -316,14 +307,16 @@ def off(error):
 
 
 MISTAKES = {
-    'degrees': ('angle', 'degrees', in_degrees, None),
+    'degrees': ('angle', 'degrees', changed(np.degrees, 'position', 'velocity'), None),
     'tilted base': ('gravity', 'about y by -5', lambda r: r, (0.0, 0.1, 0.0)),
     'mounted on a wall': ('gravity', 'about y by -(89|9[01])', lambda r: r, (0.0, np.pi / 2, 0.0)),
     'other sign': ('sign', 'efforts of two count', efforts(lambda u: u * [1, -1, 1]), None),
     'tilt and a sign': ('gravity', 'by -5', efforts(lambda u: u * [1, -1, 1]), (0.0, 0.1, 0.0)),
     'other signs': ('sign', 'of all joints', efforts(np.negative), None),
-    'turned axis': ('reading', 'and efforts of two count the other way round: is', turned, None),
-    'swapped names': ('names', 'two and three are swapped', swapped, None),
+    'turned axis': ('reading', 'and efforts of two count the other way round: is',
+                    changed(lambda x: x * [1, -1, 1]), None),
+    'swapped names': ('names', 'two and three are swapped',
+                      changed(lambda x: x[:, [0, 2, 1]]), None),
     'currents': ('unit', 'currents', efforts(lambda u: u / [13, 12, 9]), None),
     'late efforts': ('delay', '50 ms too late', efforts(lambda u: shifted(u, 0.05, 0.01)), None),
     'zero': ('reading', r'two are off by about \+0\.(4[0-4]?|3[6-9]) rad all',

@@ -347,7 +347,8 @@ def test_given_no_reading_at_all_when_drawn_then_there_is_no_path(paper_arm):
     record = run()
     record.joint_names = paper_arm.joint_names
     record.streams['joint_states']['position'][:] = np.nan
-    assert figures.path(analysed(record, paper_arm)) is not None
+    (axis,) = figures.path(analysed(record, paper_arm)).axes
+    assert list(axis.lines) == []
 
 
 def test_given_a_scenario_of_six_joints_when_drawn_then_its_path_is_there_without_references():
