@@ -1,6 +1,5 @@
 """The whole pipeline as a user runs it: ``lpv demo``, what it records, and replays of it."""
 
-import contextlib
 import os
 import re
 import shutil
@@ -11,6 +10,7 @@ from pathlib import Path
 from signal import SIGHUP, default_int_handler, signal
 
 import numpy as np
+import psutil
 import pytest
 import ros
 import yaml
@@ -43,13 +43,9 @@ def shortened(folder, name, *onsets, **changes):
 
 
 def nodes_of(folder):
-    """Numbers and command lines of the processes that were given files in a folder."""
-    lines = []
-    for file in Path('/proc').glob('[0-9]*/cmdline'):
-        with contextlib.suppress(OSError):  # it has ended
-            line = file.read_bytes().replace(b'\0', b' ').decode(errors='replace')
-            lines.append((int(file.parent.name), line))
-    return [one for one in lines if f'{folder}/' in one[1] and '--ros-args' in one[1]]
+    """Command lines of the nodes that were given files in a folder."""
+    lines = [' '.join(one.info['cmdline'] or ()) for one in psutil.process_iter(['cmdline'])]
+    return [line for line in lines if f'{folder}/' in line and '--ros-args' in line]
 
 
 @pytest.fixture(scope='module')

@@ -8,7 +8,6 @@ import os
 import runpy
 import subprocess
 import sys
-from multiprocessing.reduction import DupFd
 
 _forks = multiprocessing.get_context('forkserver')
 _forks.set_forkserver_preload([
@@ -21,12 +20,12 @@ class Forked:
     """What `subprocess.Popen` is of a Python program that leads a session, its output in a pipe."""
 
     def __init__(self, words, environment):
-        read, write = os.pipe()
-        self.stdout = open(read, encoding='utf-8', errors='replace')  # noqa: SIM115
-        given = words, environment, os.getcwd()
-        self._process = _forks.Process(target=_run, args=(_Descriptor(write), *given))
-        self._process.start()
-        os.close(write)
+        read, write = _forks.Pipe(duplex=False)
+        given = write, words, environment, os.getcwd()
+        self._process = _forks.Process(target=_run, args=given)
+        with read, write:
+            self._process.start()
+            self.stdout = open(os.dup(read.fileno()), encoding='utf-8', errors='replace')  # noqa: SIM115
         self.pid = self._process.pid
 
     def poll(self):
@@ -46,27 +45,11 @@ class Forked:
         return self.poll()
 
 
-class _Descriptor:
-    """Of a file, which the process that starts has under another number."""
-
-    def __init__(self, number):
-        self._number = number
-
-    def __getstate__(self):
-        return DupFd(self._number)
-
-    def __setstate__(self, state):
-        self._number = state.detach()
-
-    def become_output(self):
-        for number in (1, 2):
-            os.dup2(self._number, number)
-        os.close(self._number)
-
-
 def _run(output, words, environment, folder):
     os.setsid()
-    output.become_output()
+    with output:
+        for number in (1, 2):
+            os.dup2(output.fileno(), number)
     os.chdir(folder)
     os.environ.clear()
     os.environ.update(environment)
