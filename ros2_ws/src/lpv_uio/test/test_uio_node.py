@@ -323,8 +323,8 @@ def test_given_stamps_that_fit_no_stream_when_observed_then_it_is_said_why(
         bag = write_bag(tmp_path / 'bag', entries, {TOPIC: JOINT_STATE})
         monitor = serial_monitor.SerialSensorMonitor('/lpv/uio', node._arm)
         Replay(monitor, estimates_only=True).run(bag, tmp_path / 'out')
-        messages = [data for topic, _, data in contents(tmp_path / 'out')[0] if topic != TOPIC]
-        replayed = [deserialize_message(data, DiagnosticArray).status[0] for data in messages]
+        messages = [m for topic, _, m in contents(tmp_path / 'out')[0] if topic == '/diagnostics']
+        replayed = [deserialize_message(one, DiagnosticArray).status[0] for one in messages]
         told, again = ([(s.level, s.message.split(':')[0]) for s in x] for x in (found, replayed))
         assert told == again and len(told) > 1
         # A driver whose stamps are those of a stream is observed again.
