@@ -145,7 +145,7 @@ def one_run(case: tuple[str, str, int]) -> Outcome:
 def judged(run: Run, kind: str, joint: int, onset: float) -> Outcome:
     """Figures of a run whose sensor ``joint`` may be faulty from the onset on [s]."""
     error = np.abs(run.fault_estimate - run.fault)[:, joint]
-    outside, trusted = error > run.threshold[:, joint], run.trustworthy
+    outside, trusted = error > run.bound[:, joint], run.trustworthy
     braked = run.braked & (run.time > onset)
     stopped = run.time[braked.argmax()] if braked.any() else np.inf
     goes_on = ~(run.safe_stop | run.braked) & (run.time > 1.0)

@@ -352,6 +352,7 @@ class Run:
     reference: FloatArray  # (m, n) [rad]
     fault: FloatArray  # (m, n) of the sensors, NaN in a dropout [rad]
     fault_estimate: FloatArray  # (m, n) [rad]
+    bound: FloatArray  # (m, n) of its error [rad]
     threshold: FloatArray  # (m, n) beyond which an offset is a fault [rad]
     alarm: np.ndarray  # (m, n) 1 where the fault is confirmed
     inconsistent: np.ndarray  # (m,) whether readings, torques and model contradict each other
@@ -517,6 +518,7 @@ def run_closed_loop(
         estimated_velocity=answers.velocity,
         trustworthy=answers.trustworthy,
         fault_estimate=answers.estimate,
+        bound=answers.bound,
         threshold=answers.threshold,
         alarm=answers.alarm,
         inconsistent=answers.inconsistent,

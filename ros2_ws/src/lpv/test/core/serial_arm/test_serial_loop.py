@@ -199,6 +199,7 @@ def test_given_a_run_when_a_node_gets_it_then_it_answers_the_same(faults, way):
     answers = SerialSensorMonitor('node', shoulder_arm(rates)).take_many(stamps, *rows)
     assert run.alarms == [alarm for _, alarm in answers.events]
     np.testing.assert_array_equal(run.fault_estimate[kept], answers.fault.estimate)
+    np.testing.assert_array_equal(run.bound[kept], answers.fault.bound)
     np.testing.assert_array_equal(run.threshold[kept], answers.fault.threshold)
     np.testing.assert_array_equal(run.compensated[kept], answers.state.compensated_position)
     assert np.isfinite(run.torque).all() and np.isfinite(run.compensated).all()
