@@ -160,6 +160,29 @@ def test_given_a_frozen_reading_when_drives_brake_in_motion_then_no_other_encode
     assert held.sum() > 500 and (error < run.threshold[held, joint]).all()
 
 
+SCALED = {
+    'turn_1_encoder': (208, 5.332, (0.5, 4.227, 7.5), (
+        (-0.183, 0.483, -0.036, -1.425), (-1.067, 1.115, -0.163, -0.680),
+        (1.968, 0.724, -0.075, -1.856))),
+    'turn_2_encoder': (98, 5.525, (0.5, 4.546, 7.5), (
+        (0.225, -0.226, -0.085, -0.448), (1.616, 1.638, -0.046, -1.780),
+        (-1.814, -1.148, -0.089, -0.107))),
+}  # fmt: skip
+"""By the sensor: seed, onset in motion, and a path."""
+
+
+@pytest.mark.parametrize('sensor', SCALED)
+def test_given_a_scale_error_when_its_reading_jumps_in_motion_then_no_other_is_blamed(sensor):
+    """Its rate is off as well, which balances show before the jump is called a scale error."""
+    seed, onset, times, places = SCALED[sensor]
+    fault, arm = Fault(sensor, 'scale', onset, size=0.2), with_rates(scara(), 'derived')
+    scenario = replace(
+        SCENARIO, duration=onset + 0.5, seed=seed, payload=0.0, friction_factor=1.0, times=times,
+        waypoints=places, faults=(fault,))  # fmt: skip
+    run = run_closed_loop(arm, scenario)
+    assert [(one.sensor, one.kind) for one in run.alarms] == [(sensor, 'bias'), (sensor, 'scale')]
+
+
 @pytest.mark.parametrize(('name', 'joint'), [('panda', 1), ('panda', 3), ('ur10', 2)])
 def test_given_slow_joints_when_a_drift_is_named_then_they_are_led_back_without_a_stop(name, joint):
     """Corrections that fade at 0.5 rad/s, and the loop's overshoot, were too fast for them."""

@@ -313,9 +313,7 @@ class Bank:
 
         The most probable one comes first.
         """
-        rows, n = found.rows, self.estimator.joints
-        likely = rows['gain'] + np.log(rows['starts'] * _RATES[rows['kind']])
-        likely[rows['joint'] >= 0] -= math.log(n)
+        rows, likely, n = found.rows, self._likely(found), self.estimator.joints
         # A number for each cause: kinds of one sensor's faults are one.
         causes = np.where(found.is_encoder, -1, rows['kind']) * (n + 1) + rows['joint']
         order = np.argsort(-rows['gain'], kind='stable')
@@ -325,6 +323,17 @@ class Bank:
         shares = np.exp(total - np.logaddexp.reduce(total))
         ranks = np.lexsort((first, -shares)).tolist()
         return [(found.one(order[first[k]]), float(shares[k])) for k in ranks]
+
+    def evidence(self, found: Compared) -> float:
+        """Logarithm of the odds that one of these hypotheses is true."""
+        return float(np.logaddexp.reduce(self._likely(found)))
+
+    def _likely(self, found: Compared) -> FloatArray:
+        """Logarithms of the odds of hypotheses, with their priors, shape (N,)."""
+        rows = found.rows
+        likely = rows['gain'] + np.log(rows['starts'] * _RATES[rows['kind']])
+        likely[rows['joint'] >= 0] -= math.log(self.estimator.joints)
+        return np.asarray(likely)
 
     def _linear(self, count: int) -> np.ndarray:
         """Rows of faults that are linear in their size, of the evidence."""

@@ -566,9 +566,10 @@ class SerialMonitor:
     def _name(self, found: Compared, now: float) -> None:
         """What explains the balances is beyond doubt, or several causes are suspected."""
         known, wrong = self.followed.known, self.settings.probability_of_wrong_name
-        if known or self._jumps:
-            is_known = np.isin(found.rows['joint'], list(known))
-            found = found.where(~(is_known | self._jumps.explain(found, wrong)))
+        if known:
+            found = found.where(~np.isin(found.rows['joint'], list(known)))
+        every, explained = found, self._jumps.explain(found, wrong)
+        found = found.where(~explained)
         if not found.rows.size:
             self._suspect_nothing()
             return
@@ -582,6 +583,10 @@ class SerialMonitor:
                 i = one.joint
                 self._suspected[i] = max(self._suspected[i], self._size_now(one, now))
         one, share = shares[0]
+        # What a jump explains is weighed on its own, and stays a rival of other causes.
+        own = (every.rows['joint'] == one.joint) & (every.is_encoder == one.is_encoder)
+        total = self.bank.evidence(found)
+        share *= math.exp(total - self.bank.evidence(every.where(~(explained & own))))
         for i, (gain, largest) in self.bank.free_courses(found, self.settings.sigmas).items():
             self._rival = max(self._rival, gain)
             if not one.is_encoder:
@@ -590,6 +595,7 @@ class SerialMonitor:
         begins = (other.begin for other in likely if other.kind in OUTSIDE)
         self._contact.begin = min(self._contact.begin, *begins, math.inf)
         outside = sum(other for cause, other in shares if cause.kind in OUTSIDE)
+        outside *= math.exp(total - self.bank.evidence(every))
         if outside >= 1.0 - wrong:
             self._contact.since = min(self._contact.since, now)
             learned = len(self.estimator) * self.plan.interval > NOISE_KNOWN_AFTER
