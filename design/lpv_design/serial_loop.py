@@ -247,7 +247,7 @@ def _with_error(arm: SerialArm, gains: LoopGains) -> LoopGains:
 
 
 def _error_proof(gains: LoopGains, numbers: LoopNumbers, decay: float) -> ErrorProof | None:
-    """Least level mu for a decay, widened a little."""
+    """Least level mu for a decay, widened a little; None where the solver found no proof of one."""
     p, multipliers = cp.Variable((3, 3), symmetric=True), cp.Variable(2, nonneg=True)
     level, middle = cp.Variable(nonneg=True), np.diag([0.0, 1.0, 0.0])
     matrix = motion_matrix(p, multipliers, numbers, decay, level)
@@ -255,11 +255,15 @@ def _error_proof(gains: LoopGains, numbers: LoopNumbers, decay: float) -> ErrorP
     solve(level, constraints)
     if level.value is None:
         return None
+    found, values = np.array(p.value), np.array(multipliers.value)
+    rebuilt = middle - found, motion_matrix(found, values, numbers, decay, float(level.value))
+    if any(largest_eigenvalue(one) >= 0.0 for one in rebuilt):
+        return None
     return replace(
         gains.error,
         decay=decay * gains.bandwidth,
-        lyapunov=np.array(p.value),
-        multipliers=np.array(multipliers.value),
+        lyapunov=found,
+        multipliers=values,
         level=float(level.value),
     )
 

@@ -11,6 +11,7 @@ from planar_formulas import weights
 from scipy.linalg import solve_continuous_are, solve_continuous_lyapunov, solve_discrete_lyapunov
 
 from lpv import ConfigError, load_arm
+from lpv.core.serial_arm.certificate.loop_inequality import LoopNumbers, motion_matrix
 from lpv.core.serial_arm.description import LinkInertia, Uncertainty
 from lpv.core.serial_arm.two_links import two_link_arm
 from lpv.core.support import inequalities, resources
@@ -342,6 +343,22 @@ def test_given_an_arm_when_designed_then_what_is_certified_follows_payload_and_r
     assert ratio == pytest.approx(0.5, rel=0.01)
     slow = serial_loop.certify_loop(short, serial_loop.LoopRequest(rate_share=0.2))[0]
     assert slow.rate_share == 0.2 and slow.motion.decay > gains.motion.decay
+
+
+@pytest.mark.slow
+def test_given_light_links_with_much_friction_when_errors_are_bounded_then_bounds_are_proved(found):
+    """The solver ends just outside of its constraints where friction is large."""
+    numbers = LoopNumbers(
+        growth=0.09184083840948684, damping=6.499513020493472,
+        low=0.9514747859181732, high=1.0 / 0.95, step=0.02)  # fmt: skip
+    proved = 0
+    for decay in np.geomspace(0.02, 0.8, 12).tolist():
+        one = serial_loop._error_proof(found[0], numbers, decay)
+        if one is not None:
+            left = motion_matrix(one.lyapunov, one.multipliers, numbers, decay, one.level)
+            assert inequalities.largest_eigenvalue(left) < 0.0
+            proved += 1
+    assert proved > 0
 
 
 @pytest.mark.parametrize(('asked', 'payload', 'told'), [
