@@ -207,6 +207,15 @@ def sines(
     return path
 
 
+def minimum_jerk(x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Share of a way after a share x of its time, and its first two derivatives by x."""
+    return (
+        10 * x**3 - 15 * x**4 + 6 * x**5,
+        30 * x**2 - 60 * x**3 + 30 * x**4,
+        60 * x - 180 * x**2 + 120 * x**3,
+    )
+
+
 def moves_and_rests(
     motion: Sequence[np.ndarray], rng: np.random.Generator, time: np.ndarray
 ) -> np.ndarray:
@@ -220,10 +229,10 @@ def moves_and_rests(
         goal = np.where(rng.random(len(centre)) < 0.2, place, goal)
         way = goal - place
         span = max(1.9 * np.abs(way / rate).max() / rng.uniform(0.4, 1.0), 0.5)
-        x = np.clip((time - begin) / span, 0.0, 1.0)[:, None]
-        course[0] += way * (10 * x**3 - 15 * x**4 + 6 * x**5)
-        course[1] += way / span * (30 * x**2 - 60 * x**3 + 30 * x**4)
-        course[2] += way / span**2 * (60 * x - 180 * x**2 + 120 * x**3)
+        share, slope, bend = minimum_jerk(np.clip((time - begin) / span, 0.0, 1.0)[:, None])
+        course[0] += way * share
+        course[1] += way / span * slope
+        course[2] += way / span**2 * bend
         place, begin = goal, begin + span + rng.choice([0.0, 1.0]) * rng.uniform(0.3, 3.0)
     return course
 
@@ -321,10 +330,21 @@ def derived(stream: Stream) -> Stream:
 # --- subjects ---------------------------------------------------------------------------------
 
 
+def with_joints(arm: SerialArm, *which: int, **changes: Any) -> SerialArm:
+    """The arm some of whose joints, or all, are others; mappings are changes of their parts."""
+
+    def changed(joint: SerialJoint) -> SerialJoint:
+        parts = {name: replace(getattr(joint, name), **value) if isinstance(value, dict) else value
+                 for name, value in changes.items()}  # fmt: skip
+        return replace(joint, **parts)
+
+    joints = [one if which and i not in which else changed(one) for i, one in enumerate(arm.joints)]
+    return replace(arm, joints=tuple(joints))
+
+
 def with_sensors(arm: SerialArm, **changes: Any) -> SerialArm:
     """The arm with other sensors."""
-    joints = (replace(j, sensors=replace(j.sensors, **changes)) for j in arm.joints)
-    return replace(arm, joints=tuple(joints))
+    return with_joints(arm, sensors=changes)
 
 
 def shoulder_arm(position_noise: float = 1e-4, quantization: float = 0.0) -> SerialArm:

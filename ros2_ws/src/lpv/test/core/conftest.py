@@ -31,5 +31,4 @@ def arms(paper_model, real_model):
 
 @pytest.fixture
 def gains(arm, gains_of):
-    """Of the arm."""
     return gains_of[arm.name]

@@ -5,12 +5,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from fault_injection import with_sensors
 from planar_formulas import inverse_dynamics
 
-from lpv import load_arm
+from lpv import ConfigError, load_arm
 from lpv.core.simulation import arm_simulator, scenario
 from lpv.core.simulation.faults import Fault, FaultInjector
-from lpv.core.support.errors import ConfigError
 from lpv.core.support.resources import bringup_file
 
 pytestmark = pytest.mark.slow
@@ -99,9 +99,7 @@ def test_given_noise_when_sampled_then_moments_are_right_and_faults_independent(
 
 def test_given_derived_rates_when_the_first_reading_is_taken_late_then_it_has_no_rate_from_zero():
     arm, path = load_arm(bringup_file('arms', 'panda')), bringup_file('scenarios', 'panda')
-    sensors = [replace(joint.sensors, rates='derived') for joint in arm.joints]
-    joints = tuple(replace(joint, sensors=own) for joint, own in zip(arm.joints, sensors))
-    own = replace(arm, joints=joints)
+    own = with_sensors(arm, rates='derived')
     plant = arm_simulator.ArmSimulator(own, scenario.load_scenario(path))
     plant.hold()  # as in real time, where the first sample is published after a step
     assert np.abs(plant.sense()['measured_velocity']).max() < 0.1

@@ -4,11 +4,13 @@ from dataclasses import replace
 
 import fault_injection
 import numpy as np
-from fault_injection import with_sensors, wrong_chain
+from fault_injection import Stream, derived, with_sensors, wrong_chain
 from simulated_runs import Run, simulated_run
 from watched import Watched
 
-from lpv import load_arm
+from lpv import DiagnosisParameters, load_arm
+from lpv.core.monitoring.answers import Answers
+from lpv.core.monitoring.serial_monitor import SerialSensorMonitor
 from lpv.core.serial_arm import description as parts
 from lpv.core.serial_arm.chain import body_parameters
 from lpv.core.serial_arm.description import SerialArm, Uncertainty
@@ -59,8 +61,25 @@ def watch(arm, run) -> Watched:
     return monitor
 
 
+def delivered(arm: SerialArm, samples) -> Stream:
+    """What the driver of an arm makes of readings, rates and efforts; its rates may be derived."""
+    stamps = 1 + np.round(1e9 * arm.sample_time * np.arange(len(samples))).astype(np.int64)
+    stream = Stream(stamps, samples)
+    return derived(stream) if arm.joints[0].sensors.rates == 'derived' else stream
+
+
+def blamed(monitor) -> list[tuple[str, str]]:
+    """Sensors that a monitor named, and of what."""
+    return [(alarm.sensor, alarm.kind) for alarm in monitor.alarms if alarm.sensor]
+
+
+def answered(arm, run, **parameters) -> Answers:
+    """Answers of an arm's monitor to a run; no stamp is 0."""
+    monitor = SerialSensorMonitor('/uio', arm, DiagnosisParameters(**parameters))
+    return monitor.take_many(run.stamps + 1, *np.moveaxis(run.samples, 1, 0))
+
+
 def without(run, rows) -> Run:
-    """A run of which some samples are lost."""
     return Run(*(np.delete(one, rows, axis=0) for one in run))
 
 
@@ -89,7 +108,6 @@ def _joint(name, place, rpy, axis, mass, center, span, rate, torque, kind='revol
 
 
 def floats(values):
-    """Numbers of a description."""
     return tuple(float(value) for value in values)
 
 

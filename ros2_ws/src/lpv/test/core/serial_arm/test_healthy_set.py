@@ -4,19 +4,19 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from serial_arms import shoulder_arm, watch
+from fault_injection import with_joints
+from serial_arms import answered, shoulder_arm, watch
 from simulated_runs import Push, simulated_run
 from watched import Watched
 
-from lpv import load_arm
-from lpv.core.monitoring import alarm_text, message_fields, serial_monitor
+from lpv import Fault, load_arm
+from lpv.core.monitoring import alarm_text, message_fields
 from lpv.core.serial_arm import description, simulation
 from lpv.core.serial_arm.certificate.jump_bound import NET_TORQUE, jump_bound
 from lpv.core.serial_arm.chain import compile_chain
 from lpv.core.serial_arm.diagnosis.alarms import GUARANTEED, STATISTICAL, Alarm, AlarmEvent
 from lpv.core.serial_arm.diagnosis.parameter_set import member, parameter_set, payload_generator
 from lpv.core.serial_arm.dynamics.model import SerialModel
-from lpv.core.simulation.faults import Fault
 
 STATED = description.Uncertainty(payload=0.5, friction=0.3, model_error=0.05)
 UNSTATED = description.Uncertainty(0.5, 0.3)
@@ -67,9 +67,8 @@ def test_given_motion_then_payload_is_known_and_thresholds_shrink_but_of_an_upri
     assert not exact.exceeded[0] and exact.smallest_found[0] == np.inf
     assert exact.threshold[1] < 0.6 * watched(duration=0.6).threshold[1]
     assert watched(shoulder_arm(), duration=0.5) is None  # no stated range
-    tolerance = description.TorqueTolerance((0.0,), (1.0,))
-    joints = tuple(replace(one, torque_tolerance=tolerance) for one in ARM.joints)
-    assert np.all(watched(replace(ARM, joints=joints)).slack[1:] > 5.0 * exact.slack[1:])
+    tolerant = with_joints(ARM, torque_tolerance=description.TorqueTolerance((0.0,), (1.0,)))
+    assert np.all(watched(tolerant).slack[1:] > 5.0 * exact.slack[1:])
     low, high = watched(duration=6.0).payload
     assert low == 0.0 and high < 0.45
 
@@ -97,9 +96,7 @@ def test_given_any_payload_of_the_file_when_learned_then_the_interval_holds_it(e
 
 def answers(*faults, uncertainty=STATED, pushes=(), duration=5.0):
     arm = shoulder_arm('independent', uncertainty)
-    run = simulated_run(arm, duration, *faults, pushes=pushes)
-    samples = np.moveaxis(run.samples, 1, 0)
-    found = serial_monitor.SerialSensorMonitor('uio', arm).take_many(run.stamps + 1, *samples)
+    found = answered(arm, simulated_run(arm, duration, *faults, pushes=pushes))
     return [event for _, event in found.events], found.reports[-1][1]
 
 
@@ -161,9 +158,7 @@ def test_given_faults_or_ranges_when_told_then_rate_basis_and_thresholds_are_sai
 
 
 def test_given_rotors_that_couple_joints_when_bounded_then_no_acceleration_is_above_it():
-    arm = load_arm('ur10')
-    last = replace(arm.joints[5], rotor_coupling=-0.18)
-    arm = replace(arm, joints=(*arm.joints[:5], last))
+    arm = with_joints(load_arm('ur10'), 5, rotor_coupling=-0.18)
     model, fastest = SerialModel(compile_chain(arm)), np.zeros(6)
     for q in np.random.default_rng(0).uniform(-np.pi, np.pi, (50, 6)):
         inverse = np.linalg.inv(model.mass_matrix(q))

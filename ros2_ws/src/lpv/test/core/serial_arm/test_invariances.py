@@ -9,12 +9,11 @@ from scipy.spatial.transform import Rotation
 from serial_arms import floats, scara, shoulder_arm, simulated, with_rates
 from simulated_runs import Push
 
-from lpv import load_arm
+from lpv import Fault, load_arm
 from lpv.core.monitoring.serial_monitor import SerialSensorMonitor
 from lpv.core.serial_arm.chain import compile_chain, moved_body
 from lpv.core.serial_arm.description import LinkInertia, Uncertainty, rotation_from_rpy
 from lpv.core.serial_arm.diagnosis.parameter_error import typical_torque
-from lpv.core.simulation.faults import Fault
 
 MIRROR = np.diag([-1.0, 1.0, 1.0])
 
@@ -138,14 +137,11 @@ def long(factor):
 
 
 def other_efforts(arm, stamps, samples):
-    """Efforts in another unit."""
     other = each(arm, lambda joint: replace(joint, torque_gain=0.037))
     return other, stamps, samples / np.array([1.0, 1.0, 0.037])[:, None]
 
 
 def strong(arm, stamps, samples):
-    """Drives that could give more."""
-
     stronger = each(arm, lambda joint: replace(joint, limits=times(joint.limits, torque=10.0)))
     return stronger, stamps, samples
 

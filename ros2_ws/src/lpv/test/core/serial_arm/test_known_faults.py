@@ -4,23 +4,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from serial_arms import shoulder_arm, simulated, watch, with_rates, without
+from fault_injection import with_joints
+from serial_arms import answered, shoulder_arm, simulated, watch, with_rates, without
 from simulated_runs import Push
 from watched import Watched
 
-from lpv import load_arm
-from lpv.core.monitoring.parameters import DiagnosisParameters
-from lpv.core.monitoring.serial_monitor import SerialSensorMonitor
+from lpv import Fault, load_arm
 from lpv.core.serial_arm.certificate.jump_bound import jump_bound
 from lpv.core.serial_arm.diagnosis.alarms import AlarmEvent, SensorState
 from lpv.core.serial_arm.diagnosis.fault_filter import FaultFilter
-from lpv.core.simulation.faults import Fault
-
-
-def answered(arm, run, **parameters):
-    """Answers to a run; no stamp is 0."""
-    monitor = SerialSensorMonitor('arm', arm, DiagnosisParameters(**parameters))
-    return monitor.take_many(run.stamps + 1, *run.samples.swapaxes(0, 1))
 
 
 def true_rates(arm, run):
@@ -33,7 +25,9 @@ def averaged(values):
 
 
 @pytest.mark.parametrize('rates', ['derived', 'independent'])
-def test_given_a_known_drift_when_samples_are_missing_then_it_goes_on_meanwhile(rates):
+def test_given_a_drift_when_named_then_its_alarm_has_its_bound_and_it_goes_on_without_samples(
+    rates,
+):
     arm = shoulder_arm(rates)
     for seed in (1, 2):
         whole = simulated(arm, Fault('encoder2', 'drift', 3.0, rate=0.3), duration=7.0, seed=seed)
@@ -43,6 +37,9 @@ def test_given_a_known_drift_when_samples_are_missing_then_it_goes_on_meanwhile(
         assert np.abs(error[2500:]).max() < 0.06  # 0.18 rad in the gap
         assert (np.abs(error) < answers.fault.bound)[2500:].all()
         assert {event.kind for _, event in answers.events} == {'drift'}
+        ((row, alarm),) = ((k, e) for k, e in answers.events if e.event is AlarmEvent.RAISED)
+        known = answers.fault.estimate[row, 1], answers.fault.bound[row, 1]
+        assert (alarm.size, alarm.bound) == pytest.approx(known)
 
 
 @pytest.mark.parametrize(('rate', 'seed'), [(0.02, 2), (0.05, 4), (-0.05, 4)])
@@ -53,16 +50,6 @@ def test_given_a_slow_drift_then_it_is_not_called_a_scale_error_that_would_have_
     drift = Fault('encoder1', 'drift', 4.0, rate=rate)
     answers = answered(arm, simulated(arm, drift, duration=7.0, seed=seed))
     assert [(event.sensor, event.kind) for _, event in answers.events] == [('encoder1', 'drift')]
-
-
-@pytest.mark.parametrize('rates', ['derived', 'independent'])
-def test_given_a_suspected_drift_when_it_is_named_then_its_alarm_has_the_bound_of_the_answer(rates):
-    run = simulated(shoulder_arm(rates), Fault('encoder2', 'drift', 3.0, rate=0.3), duration=4.0)
-    answers = answered(shoulder_arm(rates), run)
-    ((sample, alarm),) = ((k, e) for k, e in answers.events if e.event is AlarmEvent.RAISED)
-    assert (alarm.size, alarm.bound) == pytest.approx(
-        (answers.fault.estimate[sample, 1], answers.fault.bound[sample, 1])
-    )
 
 
 def test_given_a_step_when_its_reading_is_noisy_for_a_while_then_the_step_remains():
@@ -206,15 +193,8 @@ def test_given_a_known_step_when_samples_return_after_a_break_then_answers_are_t
 
 def test_given_rates_that_are_found_to_be_derived_then_the_bound_of_jumps_is_that_of_differences():
     sensors = {'velocity_noise': 0.0002, 'position_noise': 2e-4}
-    arms = []
-    for rates in ('independent', 'derived'):
-        arm = shoulder_arm(rates)
-        joints = (
-            replace(joint, rotor_inertia=0.2, sensors=replace(joint.sensors, **sensors))
-            for joint in arm.joints
-        )
-        arms.append(replace(arm, joints=tuple(joints)))
-    said, true = arms
+    said = with_joints(shoulder_arm('independent'), rotor_inertia=0.2, sensors=sensors)
+    true = with_rates(said, 'derived')
     run = simulated(true, duration=1.5, seed=3)
     monitor = watch(said, run)
     assert len(monitor.misnamed) == 3

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from fault_injection import with_joints
 from nested import Missing, changed
 from scipy.linalg import eigh
 from serial_certificate import corner_arm, decay
@@ -17,8 +18,7 @@ from lpv.core.serial_arm.dynamics.payload import with_payload
 from lpv.core.support.resources import bringup_file
 from lpv.core.uio.certificate.gains import load_certified
 
-NAMES = ('ur10', 'panda')
-FILES = {n: (load_arm(n), load_certified(bringup_file('gains', n))) for n in NAMES}
+FILES = {n: (load_arm(n), load_certified(bringup_file('gains', n))) for n in ('ur10', 'panda')}
 EACH = pytest.mark.parametrize(('arm', 'gains'), FILES.values(), ids=FILES)
 
 
@@ -96,9 +96,7 @@ def test_given_rotors_that_couple_joints_when_verified_then_false_bounds_are_fou
     plain, gains = FILES['ur10']
     one, before = plain.joints[joint], plain.joints[joint - 1]
     coupling = -0.8 * (one.rotor_inertia * before.rotor_inertia) ** 0.5
-    joints = list(plain.joints)
-    joints[joint] = replace(one, rotor_coupling=coupling)
-    arm = replace(plain, joints=tuple(joints))
+    arm = with_joints(plain, joint, rotor_coupling=coupling)
     mass = SerialModel(compile_chain(arm)).mass_matrix(np.zeros(6))
     assert 0.0 < np.linalg.eigvalsh(mass)[0] < 0.5 * gains.model.inertia.min()
     checks = replace(gains, arm_sha256=arm.sha256(), checksum='').verify(arm)

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pinocchio
 import pytest
+from fault_injection import with_joints
 from fuzzing import bounded_memory, fuzz, mutate_text, mutate_xml
 from serial_arms import URDF, shoulder_arm
 
@@ -154,10 +155,10 @@ def test_joints_that_no_arm_has_are_refused_by_name(small, reason):
 
 
 def test_given_a_joint_that_moves_no_mass_then_its_file_is_refused_by_name():
-    arm = shoulder_arm()
-    last = replace(arm.joints[-1], link=LinkInertia.from_vector(np.zeros(10)), rotor_inertia=0.0)
+    massless = LinkInertia.from_vector(np.zeros(10))
+    arm = with_joints(shoulder_arm(), 2, link=massless, rotor_inertia=0.0)
     with pytest.raises(ConfigError, match=r'joints\[2\].link: joint3 moves no mass'):
-        parse_arm(to_mapping(replace(arm, joints=(*arm.joints[:-1], last))))
+        parse_arm(to_mapping(arm))
 
 
 def torques_of(arm):

@@ -5,7 +5,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from fault_injection import with_sensors
+from fault_injection import with_joints, with_sensors
 from places import BRINGUP
 from serial_arms import middle, mixed_arm, scara, shoulder_arm, ur10_on_rail, with_rates
 
@@ -99,9 +99,7 @@ def test_given_noise_that_begins_below_a_jump_when_the_arm_is_light_then_it_is_n
     """The first difference of readings would be a rate of 15 rad/s, at which it is carried on."""
     scenario = load_scenario(BRINGUP / 'scenarios' / 'real_arm.yaml')
     noise = Fault('joint2_encoder', 'noise', onset, duration, size)
-    scenario = replace(
-        scenario, duration=6.0, seed=seed, parameter_error=0.05, faults=(noise,)
-    )  # fmt: skip
+    scenario = replace(scenario, duration=6.0, seed=seed, parameter_error=0.05, faults=(noise,))
     run = run_closed_loop(load_arm(BRINGUP / 'arms' / 'real_arm.yaml'), scenario)
     assert np.abs(run.compensated - run.position).max() < 0.3
     assert np.abs(run.position - run.reference).max() < 0.35
@@ -115,27 +113,20 @@ def test_given_no_readings_for_less_than_50_ms_when_the_arm_moves_then_it_is_not
     assert not run.stop_reason.any() and np.abs(run.position - run.reference).max() < 0.02
 
 
-def braked_in_motion(arm, seed):
-    """A healthy run whose drives get no commands from 4.5 s on, for a while."""
+ROUNDED = [with_sensors(shoulder_arm(r), quantization=1e-3) for r in ('derived', 'independent')]
+
+
+@pytest.mark.parametrize(('arm', 'seed'), [
+    *((with_rates(scara(), 'derived'), seed) for seed in (6, 11)),
+    # Rounded readings of all joints stop at once, as if each of them froze.
+    *((arm, seed) for arm in ROUNDED for seed in (3, 6)),
+])  # fmt: skip
+def test_given_drives_that_brake_in_motion_when_healthy_then_no_encoder_is_blamed(arm, seed):
     path = random_path(arm, np.random.default_rng(seed), 6.0)
     scenario = {'name': 'test', 'duration': 6.0, 'seed': seed, 'path': path, 'disturbance': False}
     scenario = parse_scenario({**scenario, 'plant': {'parameter_error': 0.05}})
     run = run_closed_loop(arm, scenario, transport=Transport(stalls=(Stall('commands', 4.5, 0.3),)))
-    assert run.braked[2300:2390].all()
-    return run
-
-
-@pytest.mark.parametrize('seed', [6, 11])
-def test_given_drives_that_brake_in_motion_when_healthy_then_no_encoder_is_blamed(seed):
-    assert braked_in_motion(with_rates(scara(), 'derived'), seed).alarms == []
-
-
-@pytest.mark.parametrize('rates', ['derived', 'independent'])
-@pytest.mark.parametrize('seed', [3, 6])
-def test_given_rounded_readings_when_drives_brake_in_motion_then_none_is_called_frozen(seed, rates):
-    """Readings of all joints stop at once, as if each of them froze."""
-    arm = with_sensors(shoulder_arm(rates), quantization=1e-3)
-    assert braked_in_motion(arm, seed).alarms == []
+    assert run.braked[2300:2390].all() and run.alarms == []
 
 
 @pytest.mark.parametrize(('name', 'joint', 'onset', 'seed'), [
@@ -187,8 +178,7 @@ def test_given_a_scale_error_when_its_reading_jumps_in_motion_then_no_other_is_b
 def test_given_slow_joints_when_a_drift_is_named_then_they_are_led_back_without_a_stop(name, joint):
     """Corrections that fade at 0.5 rad/s, and the loop's overshoot, were too fast for them."""
     arm, scenario = with_sensors(load_arm(name), rates='derived'), load_scenario(name)
-    joints = (replace(one, limits=replace(one.limits, velocity=1.2)) for one in arm.joints)
-    arm = replace(arm, joints=tuple(joints), covariance=None, sample_time=0.01)
+    arm = with_joints(replace(arm, covariance=None, sample_time=0.01), limits={'velocity': 1.2})
     fault = Fault(arm.sensor_names[joint], 'drift', 5.0, rate=0.15)
     run = run_closed_loop(arm, replace(scenario, duration=9.0, faults=(fault,)))
     assert [(one.sensor, one.kind) for one in run.alarms] == [(fault.sensor, 'drift')]
@@ -243,16 +233,6 @@ def test_given_a_part_that_stalls_when_it_lasts_then_the_arm_is_stopped_or_brake
         assert late[600:740].any()
     assert late[500:].any() and not late[:500].any()
     assert run.lost.any() == (part == 'observer')
-
-
-@pytest.mark.parametrize(('rates', 'jump'), [('derived', 50.0), ('independent', 0.0)])
-def test_given_a_derived_rate_when_its_encoder_jumps_then_it_jumps_too(rates, jump):
-    scenario = replace(SCENARIO, faults=(replace(STEP, onset=0.01),))
-    simulator, found = ArmSimulator(shoulder_arm(rates), scenario), []
-    for _ in range(6):
-        found.append(simulator.sense()['measured_velocity'][1])
-        simulator.hold()
-    assert np.abs(np.diff(found)).max() == pytest.approx(jump, abs=1.0)
 
 
 def test_given_a_bandwidth_when_the_samples_are_too_few_for_it_then_it_is_refused():

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from fault_injection import csv_stream
+from fault_injection import csv_stream, with_joints
 from places import DATA
 
 from lpv import AlarmEvent, ConfigError, Fault
@@ -58,9 +58,7 @@ def test_given_a_healthy_arm_then_bounds_hold(paper_arm, paper_gains, run_paper,
 def test_given_constant_friction_then_the_observer_knows_it_and_the_bound_its_share(
     paper_arm, paper_gains, run_paper
 ):
-    friction = [replace(joint.friction, offset=10.0) for joint in paper_arm.joints]
-    joints = [replace(one, friction=f) for one, f in zip(paper_arm.joints, friction)]
-    arm = replace(paper_arm, joints=tuple(joints))
+    arm = with_joints(paper_arm, friction={'offset': 10.0})
     with pytest.raises(ConfigError, match='gains.arm_sha256'):
         UnknownInputObserver(arm, paper_gains)
     gains = replace(paper_gains, arm_sha256=planar_model(arm).sha256())
@@ -80,8 +78,8 @@ def test_given_constant_friction_then_the_observer_knows_it_and_the_bound_its_sh
 def test_given_efforts_that_the_file_calls_inexact_then_the_observer_certifies_nothing(
     paper_arm, paper_gains, joint
 ):
-    joints = tuple(replace(one, **(joint or {})) for one in paper_arm.joints)
-    arm = replace(paper_arm, joints=joints, effort_bandwidth=math.inf if joint else 5.0)
+    arm = with_joints(paper_arm, **(joint or {}))
+    arm = replace(arm, effort_bandwidth=math.inf if joint else 5.0)
     gains = replace(paper_gains, arm_sha256=planar_model(arm).sha256())
     assert UnknownInputObserver(arm, gains).certifies == (arm == paper_arm)
 
@@ -90,9 +88,8 @@ def test_given_links_rotors_and_payload_of_the_file_then_the_error_of_their_torq
     paper_arm,
 ):
     """By masses, their places along and beside the links, and inertias."""
-    joints = [replace(joint, rotor_inertia=0.5) for joint in paper_arm.joints]
     uncertainty = replace(paper_arm.uncertainty, payload=0.5)
-    described = replace(paper_arm, joints=tuple(joints), uncertainty=uncertainty)
+    described = with_joints(replace(paper_arm, uncertainty=uncertainty), rotor_inertia=0.5)
     chain, arm = compile_chain(described), planar_model(described)
     sizes, quiet = parameter_set(described, chain), replace(arm, velocity_noise=0.0)
     healthy = healthy_arm(replace(quiet, disturbance_mean=0.0))
@@ -204,39 +201,37 @@ def test_given_gains_then_derived_rates_certify_nothing_and_arms_fit(real_arm, p
             make(replace(paper_arm, gravity=9.81), gains_of['paper'])
 
 
-@pytest.fixture(scope='module')
-def recording():
-    """An excerpt; whole recordings are in the matrix of faults."""
-    return csv_stream(DATA / 'real_arm' / 'excerpt.csv')
+RECORDING = csv_stream(DATA / 'real_arm' / 'excerpt.csv')
+"""An excerpt; whole recordings are in the matrix of faults."""
 
 
 @pytest.fixture
-def alarms(real_arm, real_gains, recording):
+def alarms(real_arm, real_gains):
     """Along a recording of a real arm; from 3 s on an encoder reads too much."""
 
     def of(encoder=0, size=0.0):
-        samples = recording.samples.copy()
-        samples[recording.index(3.0) :, 0, encoder] += size
+        samples = RECORDING.samples.copy()
+        samples[RECORDING.index(3.0) :, 0, encoder] += size
         monitor = SerialSensorMonitor('uio', real_arm, gains=real_gains)
-        answers = monitor.take_many(recording.stamps, *np.moveaxis(samples, 1, 0))
+        answers = monitor.take_many(RECORDING.stamps, *np.moveaxis(samples, 1, 0))
         return [alarm for _, alarm in answers.events]
 
     return of
 
 
-def test_given_a_healthy_recording_then_there_is_no_alarm(alarms, real_model, recording):
-    assert recording.duration > 4.9
+def test_given_a_healthy_recording_then_there_is_no_alarm(alarms, real_model):
+    assert RECORDING.duration > 4.9
     assert alarms() == []
     # Most of it is inside the region of the gains.
-    absolute = np.pi + np.cumsum(recording.samples[:, 0], axis=1)
+    absolute = np.pi + np.cumsum(RECORDING.samples[:, 0], axis=1)
     assert np.all(np.cos(absolute) < -np.array(real_model.cos_min), axis=1).mean() > 0.5
 
 
 @pytest.mark.parametrize('encoder', [0, 1])
-def test_given_a_step_on_an_encoder_then_it_alone_is_alarmed(real_arm, alarms, recording, encoder):
+def test_given_a_step_on_an_encoder_then_it_alone_is_alarmed(real_arm, alarms, encoder):
     found = alarms(encoder, 0.3)
     assert [a.event for a in found if a.event != AlarmEvent.UPDATED] == [AlarmEvent.RAISED]
     assert {a.sensor for a in found} == {real_arm.sensor_names[encoder]}
-    onset, detected = ((t - recording.stamps[0]) / 1e9 for t in (found[0].onset, found[0].detected))
+    onset, detected = ((t - RECORDING.stamps[0]) / 1e9 for t in (found[0].onset, found[0].detected))
     assert 2.99 < onset <= detected < 3.03
     assert found[0].size == pytest.approx(0.3, abs=0.1)
