@@ -8,6 +8,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pinocchio as pin
 import pytest
+from fault_injection import with_joints
 from hypothesis import given
 from hypothesis import strategies as st
 from places import BRINGUP
@@ -19,7 +20,7 @@ from lpv.cli.main import main
 from lpv.core.export import urdf
 from lpv.core.serial_arm import arm_file, description, urdf_chain
 from lpv.core.serial_arm.certificate.model_bounds import chain_numbers
-from lpv.core.serial_arm.chain import VISCOUS, Chain, body_parameters, compile_chain, workspace
+from lpv.core.serial_arm.chain import VISCOUS, compile_chain, workspace
 from lpv.core.serial_arm.dynamics import kinematics, payload
 from lpv.core.serial_arm.dynamics.model import SerialModel
 from lpv.core.serial_arm.dynamics.momentum import forward_dynamics, momentum_balance
@@ -36,23 +37,13 @@ PRISMATIC = {'scara': scara, 'ur10_on_rail': ur10_on_rail, 'mixed': mixed_arm}
 
 
 def random_chain(seed, joints):
-    """Physical bodies of any shape, joints of any type and direction, a base in any orientation."""
+    """Joints of any type and direction without friction, a base and a tip in any orientation."""
     rng = np.random.default_rng(seed)
-    rotation = [description.rotation_from_rpy(rng.uniform(-3.0, 3.0, 3)) for _ in range(joints)]
-    bodies = []
-    for _ in range(joints):
-        lengths = rng.uniform(0.02, 0.5, 3)
-        mass, spread = rng.uniform(0.1, 20.0), lengths**2
-        turn = description.rotation_from_rpy(rng.uniform(-3.0, 3.0, 3))
-        inertia = turn @ np.diag(mass / 12 * (spread.sum() - spread)) @ turn.T
-        bodies.append(body_parameters(mass, rng.uniform(-0.4, 0.4, 3), inertia))
-    tip = description.rotation_from_rpy(rng.uniform(-3.0, 3.0, 3)), rng.uniform(-0.3, 0.3, 3)
-    direction = rng.normal(size=3)
-    gravity = 9.81 * direction / np.linalg.norm(direction)
-    places, motor = rng.uniform(-0.7, 0.7, (joints, 3)), np.diag(rng.uniform(0.0, 0.5, joints))
-    kinds, friction = rng.integers(0, 2, joints) > 0, np.zeros((joints, 5))
-    rotation, bodies = np.array(rotation), np.array(bodies)
-    return Chain(rotation, places, bodies, motor, friction, gravity, *tip, kinds)
+    turn, down = (description.rotation_from_rpy(one) for one in rng.uniform(-3.0, 3.0, (2, 3)))
+    return compile_chain(mixed_arm(seed, joints))._replace(
+        motor=np.diag(rng.uniform(0.0, 0.5, joints)), friction=np.zeros((joints, 5)),
+        gravity=9.81 * down[2], tip_rotation=turn, prismatic=rng.integers(0, 2, joints) > 0,
+    )  # fmt: skip
 
 
 def pinocchio_model(chain):
@@ -130,9 +121,9 @@ def test_given_any_chain_when_moved_then_regressors_and_inversion_fit_its_torque
     assert np.abs(found - a).max() < 1e-12 * scale
 
 
-@given(st.integers(0, 2**31))
-def test_given_any_planar_arm_when_moved_then_its_chain_equals_the_two_link_formulas(
-    paper_model, seed
+@given(st.integers(0, 2**31), st.floats(0.0, 5.0))
+def test_given_any_planar_arm_and_load_when_moved_then_its_chain_equals_the_two_link_formulas(
+    paper_model, seed, load
 ):
     rng = np.random.default_rng(seed)
     sizes = rng.uniform([0.1, 0.1, 0.05, 0.1], [20.0, 2.0, 1.0, 2.0], (2, 4))
@@ -142,22 +133,17 @@ def test_given_any_planar_arm_when_moved_then_its_chain_equals_the_two_link_form
     arm = replace(
         paper_model, links=tuple(Link(*map(float, size)) for size in sizes),
         gravity=rng.uniform(1.0, 20.0), rotor=rotor, viscous=(0.3, 0.2), coulomb=(0.5, 0.4),
+        offset=(0.1, -0.3), load=(0.1, 0.2), coulomb_slope=(50.0, 20.0),
         zero_angle=rng.uniform(-math.pi, math.pi))  # fmt: skip
     (q, v, a), joints = random_motion(seed, 2), JointMap(arm)
     rates = joints.absolute_velocity(v), joints.absolute_velocity(a)
-    absolute = two_link_inverse_dynamics(joints.absolute_position(q), *rates, arm.constants())
-    found = SerialModel(compile_chain(two_link_arm(arm))).torque(q, v, a)
+    constants, chain = arm.with_payload(load).constants(), compile_chain(two_link_arm(arm))
+    absolute = two_link_inverse_dynamics(joints.absolute_position(q), *rates, constants)
+    found = SerialModel(payload.with_payload(chain, load)).torque(q, v, a)
     close(found, joints.joint_torque(np.array(absolute)))
 
 
-def test_given_friction_by_load_or_a_wrong_sample_then_it_grows_with_torque_or_is_named(paper_arm):
-    chain, q, v = compile_chain(paper_arm), np.array([0.3, 0.4]), np.array([1.0, -1.0])
-    friction = chain.friction.copy()
-    friction[:, 2] = 0.1
-    ours = SerialModel(chain._replace(friction=friction))
-    rigid = ours.inverse_dynamics(q, v, np.zeros(2))
-    extra = ours.torque(q, v, np.zeros(2)) - rigid
-    np.testing.assert_allclose(extra, np.sign(v) * 0.1 * np.abs(rigid), rtol=0.01)
+def test_given_a_wrong_sample_then_what_is_wrong_is_named(paper_arm):
     ours = SerialModel(compile_chain(paper_arm))
     with pytest.raises(SampleError, match='v must have 2 numbers'):
         ours.inverse_dynamics([0.0, 0.0], [0.0], [0.0, 0.0])
@@ -289,7 +275,6 @@ def mujoco():
 
 
 def states(joints):
-    """Joint positions, rates, accelerations."""
     return np.random.default_rng(2).uniform(-3.0, 3.0, (10, 3, joints))
 
 
@@ -305,26 +290,22 @@ def position(model, q):
     return pin.integrate(model, pin.neutral(model), q)
 
 
-def test_given_an_exported_urdf_when_pinocchio_places_it_then_tip_and_jacobian_are_ours(chosen):
+def test_given_an_exported_urdf_when_read_by_pinocchio_then_places_and_torques_are_ours(
+    chosen, tmp_path
+):
     model = pinocchio_arm(chosen, inertial=False)
     data, chain, tool = model.createData(), compile_chain(chosen), model.getFrameId('tip')
     for q, _, _ in states(len(chosen.joints)):
-        place = position(model, q)
-        pin.framesForwardKinematics(model, data, place)
-        _, tip = kinematics.forward_kinematics(chain, q)
+        pin.framesForwardKinematics(model, data, position(model, q))
+        rotation, tip = kinematics.forward_kinematics(chain, q)
         close(data.oMf[tool].translation, tip)
-        pin.computeJointJacobians(model, data, place)
-        found = pin.getFrameJacobian(model, data, tool, pin.LOCAL_WORLD_ALIGNED)
-        close(kinematics.jacobian(chain, q), found)
-
-
-def test_given_an_exported_urdf_when_read_by_pinocchio_then_torques_are_ours(chosen, tmp_path):
+        close(data.oMf[tool].rotation, rotation)
     try:
         model = pinocchio_arm(chosen, inertial=True)
     except ValueError as error:
         assert 'a URDF cannot express that' in str(error)  # noqa: PT017 - identified arms
         return
-    data, ours = model.createData(), SerialModel(compile_chain(chosen))
+    data, ours = model.createData(), SerialModel(chain)
     (tmp_path / 'arm.urdf').write_text(urdf.arm_urdf(chosen))
     again = urdf_chain.read_urdf_chain(tmp_path / 'arm.urdf')
     assert [joint.type for joint in again.joints] == [joint.type for joint in chosen.joints]
@@ -366,10 +347,9 @@ def test_given_a_model_when_mujoco_takes_it_then_motions_are_ours(mujoco, chosen
 
 
 def test_given_a_coupled_rotor_without_inertia_when_mujoco_shall_take_it_then_it_is_refused(mujoco):
-    first, last, *others = scara().joints
-    joints = first, replace(last, rotor_inertia=0.0, rotor_coupling=-0.1), *others
+    arm = with_joints(scara(), 1, rotor_inertia=0.0, rotor_coupling=-0.1)
     with pytest.raises(ConfigError, match=r'motor\[1\]: must have the inertia'):
-        chain_model(mujoco, compile_chain(replace(scara(), joints=joints)))
+        chain_model(mujoco, compile_chain(arm))
 
 
 def test_given_a_foreign_callback_when_the_plant_has_stepped_then_it_is_back(mujoco, real_arm):
@@ -392,25 +372,22 @@ def test_given_no_mujoco_when_a_plant_is_made_then_an_install_is_asked_for(monke
 
 
 def test_given_odd_names_or_an_inertia_of_no_body_when_written_then_it_is_xml_or_refused(paper_arm):
-    joints = [replace(j, name=n) for j, n in zip(paper_arm.joints, ('x<1>', 'y&2'))]
-    arm = replace(paper_arm, name='a <b> & "c"', joints=tuple(joints))
+    arm = replace(with_joints(paper_arm, 0, name='x<1> & "y"'), name='a <b> & "c"')
     robot = ElementTree.fromstring(urdf.arm_urdf(arm))
     assert robot.get('name') == arm.name
     assert [j.get('name') for j in robot.findall('joint')][:2] == list(arm.joint_names)
-    link = replace(paper_arm.joints[1].link, inertia=tuple(1e-3 * np.array([1, 0, 1, 0, 0, 1])))
-    joints = paper_arm.joints[0], replace(paper_arm.joints[1], link=link)
-    arm = replace(paper_arm, joints=joints)
+    arm = with_joints(paper_arm, 1, link={'inertia': (1e-3, 0.0, 1e-3, 0.0, 0.0, 1e-3)})
     with pytest.raises(ConfigError, match=r'joints\[1\]\.link\.inertia'):
         urdf.arm_urdf(arm)
     assert '<inertial>' not in urdf.arm_urdf(arm, inertial=False)
 
 
 def test_given_a_slide_without_limits_when_written_as_urdf_then_it_is_read_without(tmp_path):
-    arm, (low, high) = ur10_on_rail(), (-math.inf, math.inf)
-    endless = replace(arm.joints[0], limits=replace(arm.joints[0].limits, lower=low, upper=high))
-    text = urdf.arm_urdf(replace(arm, joints=(endless, *arm.joints[1:])))
-    (tmp_path / 'arm.urdf').write_text(text)
-    assert urdf_chain.read_urdf_chain(tmp_path / 'arm.urdf').joints[0].range == endless.range
+    endless = {'lower': -math.inf, 'upper': math.inf}
+    arm = with_joints(ur10_on_rail(), 0, limits=endless)
+    (tmp_path / 'arm.urdf').write_text(urdf.arm_urdf(arm))
+    again = urdf_chain.read_urdf_chain(tmp_path / 'arm.urdf')
+    assert again.joints[0].range == arm.joints[0].range
 
 
 def test_given_the_command_when_run_then_it_prints_the_urdf_of_a_file(paper_arm, capsys, tmp_path):
@@ -431,9 +408,8 @@ def test_given_an_arm_file_when_written_and_read_then_it_is_the_same(make, tmp_p
     data['joints'][0]['type'] = 'helical'
     with pytest.raises(ConfigError, match='revolute, prismatic'):
         arm_file.parse_arm(data)
-    dead = replace(arm, joints=(replace(arm.joints[0], torque_gain=0.0), *arm.joints[1:]))
     with pytest.raises(ConfigError, match=r'arm.yaml is not written: joints\[0\].torque_gain'):
-        arm_file.save_arm(dead, tmp_path / 'arm.yaml')
+        arm_file.save_arm(with_joints(arm, 0, torque_gain=0.0), tmp_path / 'arm.yaml')
     assert load_arm(tmp_path / 'arm.yaml') == arm
 
 
