@@ -1,7 +1,6 @@
 """Faults that jump, freeze or end: no trusted estimate is outside its bound."""
 
 from dataclasses import replace
-from functools import cache
 
 import numpy as np
 import pytest
@@ -67,7 +66,6 @@ class Run:
         self.events = [(one.event.name, one.sensor, one.kind) for _, one in self.answers.events]
 
 
-@cache
 def _subject(arm):
     return arms(arm, recorded=False)[0]
 
