@@ -97,15 +97,17 @@ def test_given_noise_when_sampled_then_moments_are_right_and_faults_independent(
     assert np.intersect1d(*drawn).size == 0
 
 
-def test_given_derived_rates_when_the_first_reading_is_taken_late_then_it_has_no_rate_from_zero():
+def test_given_derived_rates_then_the_first_reading_has_none_from_zero_and_they_jump_with_theirs():
     arm, path = load_arm(bringup_file('arms', 'panda')), bringup_file('scenarios', 'panda')
-    own = with_sensors(arm, rates='derived')
-    plant = arm_simulator.ArmSimulator(own, scenario.load_scenario(path))
+    jump = Fault(arm.sensor_names[1], 'bias', 1.5 * arm.sample_time, size=0.1)
+    faulty = replace(scenario.load_scenario(path), faults=(jump,))
+    plant = arm_simulator.ArmSimulator(with_sensors(arm, rates='derived'), faulty)
     plant.hold()  # as in real time, where the first sample is published after a step
     assert np.abs(plant.sense()['measured_velocity']).max() < 0.1
     plant.hold()
     before, after = plant.signals['measured_position'].copy(), plant.sense()
     steps = (after['measured_position'] - before) / arm.sample_time
+    assert steps[1] * arm.sample_time == pytest.approx(0.1, abs=1e-3)
     np.testing.assert_allclose(after['measured_velocity'], steps, atol=1e-9)
 
 
