@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from lpv.core.serial_arm.description import SerialArm, rotation_from_rpy
+from lpv.core.serial_arm.description import SerialArm, inertia_matrix, rotation_from_rpy
 from lpv.core.support.errors import ConfigError
 
 FloatArray = npt.NDArray[np.float64]
@@ -19,13 +19,15 @@ BoolArray = npt.NDArray[np.bool_]
 
 MAX_JOINTS = 32
 """Longest chain that is accepted; sizes from files are bounded before anything is allocated."""
+_ENTRIES = [0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]
+"""Where an inertia has the entries that `inertia_matrix` makes it of."""
 MASS, MX, MY, MZ, IXX, IXY, IYY, IXZ, IYZ, IZZ = range(10)
 """Columns of `Chain.inertial`."""
 VISCOUS, COULOMB, LOAD, OFFSET, SLOPE = range(5)
 """Columns of `Chain.friction`."""
-WORK_COLUMNS = 43
+WORK_COLUMNS = 22
 """Columns of the scratch array of `workspace`."""
-PLACE = 40
+PLACE = 19
 """First of its columns with the origin of frame i in frame i-1 [m]."""
 
 
@@ -143,10 +145,8 @@ def body_parameters(mass: float, center: npt.ArrayLike, inertia: npt.ArrayLike) 
     ndarray, shape (10,)
         As a row of `Chain.inertial`.
     """
-    c = np.asarray(center, float)
-    about = np.asarray(inertia, float) + mass * (c @ c * np.eye(3) - np.outer(c, c))
-    ixx, ixy, iyy = about[0, 0], about[0, 1], about[1, 1]
-    return np.array([mass, *(mass * c), ixx, ixy, iyy, about[0, 2], about[1, 2], about[2, 2]])
+    own = np.array([mass, 0.0, 0.0, 0.0, *np.asarray(inertia, float)[_ENTRIES]])
+    return moved_body(own, np.eye(3), np.asarray(center, float))
 
 
 def moved_body(body: FloatArray, rotation: FloatArray, translation: FloatArray) -> FloatArray:
@@ -166,11 +166,8 @@ def moved_body(body: FloatArray, rotation: FloatArray, translation: FloatArray) 
     """
     mass, p = body[MASS], translation
     moment = rotation @ body[MX:IXX]
-    ixx, ixy, iyy, ixz, iyz, izz = body[IXX:]
-    inertia = rotation @ np.array([[ixx, ixy, ixz], [ixy, iyy, iyz], [ixz, iyz, izz]]) @ rotation.T
+    inertia = rotation @ inertia_matrix(body[IXX:]) @ rotation.T
     cross = np.outer(moment, p)
     inertia += (2.0 * (p @ moment) + mass * (p @ p)) * np.eye(3)
     inertia -= cross + cross.T + mass * np.outer(p, p)
-    ixx, ixy, iyy = inertia[0, 0], inertia[0, 1], inertia[1, 1]
-    moment = moment + mass * p
-    return np.array([mass, *moment, ixx, ixy, iyy, inertia[0, 2], inertia[1, 2], inertia[2, 2]])
+    return np.array([mass, *(moment + mass * p), *inertia[_ENTRIES]])

@@ -4,6 +4,7 @@ Units are those of revolute joints: for a prismatic one, read m for rad, N for N
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 
 import numpy as np
@@ -64,8 +65,7 @@ class LinkInertia:
 
     def rotational_inertia(self) -> np.ndarray:
         """Inertia about the joint frame's origin, shape (3, 3) [kg m2]."""
-        xx, xy, yy, xz, yz, zz = self.inertia
-        return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+        return inertia_matrix(self.inertia)
 
     def center(self) -> np.ndarray:
         """Centre of mass, shape (3,) [m]; the origin without a mass."""
@@ -437,6 +437,12 @@ class SerialArm:
             if content[name] is None:
                 del content[name]
         return sha256_of(content)
+
+
+def inertia_matrix(entries: Sequence[float] | np.ndarray) -> np.ndarray:
+    """Symmetric matrix, shape (3, 3), of its entries in the order of `INERTIA_KEYS`."""
+    xx, xy, yy, xz, yz, zz = entries
+    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
 
 
 def coulomb_direction(velocity: np.ndarray, slope: float | np.ndarray) -> np.ndarray:

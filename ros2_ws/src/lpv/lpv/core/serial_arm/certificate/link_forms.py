@@ -31,6 +31,7 @@ from typing import Any
 import numpy as np
 
 from lpv.core.serial_arm.chain import IXX, MX, FloatArray
+from lpv.core.serial_arm.description import inertia_matrix
 
 AXIS = np.array([0, 0, 1, 0, 0, 0])
 """S, in integers, which no kind of number is rounded by."""
@@ -53,9 +54,7 @@ def spatial_inertia(body: np.ndarray) -> np.ndarray:
     body : ndarray, shape (10,)
         A row of `Chain.inertial`.
     """
-    xx, xy, yy, xz, yz, zz = body[IXX:]
-    moment = cross_matrix(body[MX:IXX])
-    about = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    about, moment = inertia_matrix(body[IXX:]), cross_matrix(body[MX:IXX])
     return np.block([[about, moment], [moment.T, body[0] * np.eye(3, dtype=int)]])
 
 

@@ -17,18 +17,9 @@ def smooth_sign(rate: float, slope: float) -> float:
 
 @njit
 def friction_torque(chain: Chain, v: FloatArray, load: FloatArray, torque: FloatArray) -> None:
-    """Friction of every joint.
+    """Friction of every joint, shape (n,) [N m]; positive against positive rates.
 
-    Parameters
-    ----------
-    chain : Chain
-        The arm.
-    v : ndarray, shape (n,)
-        Rates [rad/s].
-    load : ndarray, shape (n,)
-        Torques that the gears carry [N m]; their size counts.
-    torque : ndarray, shape (n,)
-        Written [N m]; positive against positive rates.
+    ``load``, shape (n,), has torques that the gears carry [N m]; their size counts.
     """
     for i in range(v.shape[0]):
         row = chain.friction[i]

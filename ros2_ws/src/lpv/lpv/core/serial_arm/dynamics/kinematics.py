@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lpv.core.serial_arm.chain import Chain, FloatArray, joint_count
+from lpv.core.serial_arm.dynamics.frames import cross, plus, read, write
 from lpv.core.serial_arm.dynamics.momentum import solve_positive
 from lpv.core.support.jit import njit
 
@@ -21,77 +22,47 @@ _ORIENTATION_WEIGHT = 0.3
 
 @njit
 def joint_frames(chain: Chain, q: FloatArray, rotations: FloatArray, origins: FloatArray) -> None:
-    """Orientation and origin of every joint frame, and of the tip behind them, in the base.
+    """Orientation, (n + 1, 3, 3), and origin, (n + 1, 3) [m], of all joint frames and of the tip.
 
-    Parameters
-    ----------
-    chain : Chain
-        The arm.
-    q : ndarray, shape (n,)
-        Positions [rad].
-    rotations : ndarray, shape (n + 1, 3, 3)
-        Written.
-    origins : ndarray, shape (n + 1, 3)
-        Written [m].
+    Both are written, in the base frame.
     """
     n = q.shape[0]
     for i in range(n + 1):
-        for row in range(3):
-            for column in range(3):
-                rotations[i, row, column] = 0.0
-            origins[i, row] = 0.0
         local = chain.rotation[i] if i < n else chain.tip_rotation
         place = chain.translation[i] if i < n else chain.tip_translation
         turned, way = 0.0, 0.0
         if i < n:
             turned, way = (0.0, q[i]) if chain.prismatic[i] else (q[i], 0.0)
         c, s = np.cos(turned), np.sin(turned)
+        for row in range(3):
+            origins[i, row] = origins[i - 1, row] if i > 0 else 0.0
+            write(rotations[i], row, 0, (0.0, 0.0, 0.0))
         for k in range(3):
             # Row k of R_i0 Rz(q_i).
-            x, y, z = (
-                c * local[k, 0] + s * local[k, 1],
-                c * local[k, 1] - s * local[k, 0],
-                local[k, 2],
-            )
+            x, y, z = read(local, k, 0)
+            x, y = c * x + s * y, c * y - s * x
             for row in range(3):
                 outer = rotations[i - 1, row, k] if i > 0 else (1.0 if row == k else 0.0)
-                rotations[i, row, 0] += outer * x
-                rotations[i, row, 1] += outer * y
-                rotations[i, row, 2] += outer * z
-                origins[i, row] += outer * (place[k] + way * local[k, 2])
-        if i > 0:
-            for row in range(3):
-                origins[i, row] += origins[i - 1, row]
+                write(rotations[i], row, 0, plus(read(rotations[i], row, 0), (x, y, z), outer))
+                origins[i, row] += outer * (place[k] + way * z)
 
 
 @njit
 def fill_jacobian(
     chain: Chain, rotations: FloatArray, origins: FloatArray, jacobian: FloatArray
 ) -> None:
-    """Jacobian of the tip from the frames of `joint_frames`.
+    """Jacobian of the tip, (6, n), from what `joint_frames` has written.
 
-    Parameters
-    ----------
-    chain : Chain
-        The arm.
-    rotations, origins : ndarray, shapes (n + 1, 3, 3) and (n + 1, 3)
-        As written by `joint_frames`.
-    jacobian : ndarray, shape (6, n)
-        Written: rows 0 to 2 linear [m/s per rad/s], 3 to 5 angular, in the base frame.
+    Rows 0 to 2 are linear [m/s per rad/s], 3 to 5 angular, in the base frame.
     """
     n = jacobian.shape[1]
     for i in range(n):
-        zx, zy, zz = rotations[i, 0, 2], rotations[i, 1, 2], rotations[i, 2, 2]
-        dx = origins[n, 0] - origins[i, 0]
-        dy = origins[n, 1] - origins[i, 1]
-        dz = origins[n, 2] - origins[i, 2]
-        jacobian[0, i] = zy * dz - zz * dy
-        jacobian[1, i] = zz * dx - zx * dz
-        jacobian[2, i] = zx * dy - zy * dx
-        jacobian[3, i], jacobian[4, i], jacobian[5, i] = zx, zy, zz
+        axis = rotations[i, 0, 2], rotations[i, 1, 2], rotations[i, 2, 2]
+        linear, angular = cross(axis, plus(read(origins, n, 0), read(origins, i, 0), -1.0)), axis
         if chain.prismatic[i]:
-            jacobian[0, i], jacobian[1, i], jacobian[2, i] = zx, zy, zz
-            jacobian[3, i], jacobian[4, i], jacobian[5, i] = 0.0, 0.0, 0.0
+            linear, angular = axis, (0.0, 0.0, 0.0)
+        jacobian[0, i], jacobian[1, i], jacobian[2, i] = linear
+        jacobian[3, i], jacobian[4, i], jacobian[5, i] = angular
 
 
 def _frames(chain: Chain, q: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
@@ -105,7 +76,7 @@ def _frames(chain: Chain, q: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
 def forward_kinematics(chain: Chain, q: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
     """Orientation, shape (3, 3), and position, shape (3,) [m], of the tip in the base frame."""
     rotations, origins = _frames(chain, q)
-    return rotations[-1].copy(), origins[-1].copy()
+    return rotations[-1], origins[-1]
 
 
 def jacobian(chain: Chain, q: npt.ArrayLike) -> FloatArray:
@@ -130,16 +101,13 @@ def _pose_error(
     chain: Chain, q: FloatArray, target: tuple[FloatArray, FloatArray | None]
 ) -> tuple[FloatArray, FloatArray]:
     """Weighted error of the pose, and the Jacobian of the task with the same weights."""
-    position, orientation = target
-    matrix = jacobian(chain, q)
+    (position, orientation), matrix = target, jacobian(chain, q)
     rotation, origin = forward_kinematics(chain, q)
     if orientation is None:
         return position - origin, matrix[:3]
-    error = np.concatenate(
-        [position - origin, _ORIENTATION_WEIGHT * rotation_vector(orientation @ rotation.T)]
-    )
     matrix[3:] *= _ORIENTATION_WEIGHT
-    return error, matrix
+    turn = _ORIENTATION_WEIGHT * rotation_vector(orientation @ rotation.T)
+    return np.append(position - origin, turn), matrix
 
 
 def rotation_vector(rotation: FloatArray) -> FloatArray:

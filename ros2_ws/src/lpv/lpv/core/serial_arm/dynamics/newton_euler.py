@@ -19,92 +19,84 @@ from lpv.core.serial_arm.chain import (
     FloatArray,
 )
 from lpv.core.serial_arm.dynamics.frames import (
-    add_wrench_to_parent,
+    Triple,
+    Wrench,
     along_axis,
+    cross,
+    plus,
+    read,
     set_frames,
     to_child,
+    wrench_to_parent,
+    write,
 )
 from lpv.core.support.jit import njit_in_place as njit
 
-_FORCE, _MOMENT = 9, 12
+RATE, SPIN, PUSH = 9, 12, 15
 """Columns of `workspace` that are used here, behind the orientations."""
 
 
 @njit
-def _body_wrench(
-    chain: Chain,
-    i: int,
-    rate: tuple[float, float, float],
-    spin: tuple[float, float, float],
-    acceleration: tuple[float, float, float],
-    work: FloatArray,
+def first_moment(body: FloatArray) -> Triple:
+    """m c of a row of `Chain.inertial`."""
+    return body[MX], body[MY], body[MZ]
+
+
+@njit
+def turning(body: FloatArray, rate: Triple) -> Triple:
+    """Inertia of a row of `Chain.inertial` times a rate: the momentum of its own rotation."""
+    x, y, z = rate
+    return (
+        body[IXX] * x + body[IXY] * y + body[IXZ] * z,
+        body[IXY] * x + body[IYY] * y + body[IYZ] * z,
+        body[IXZ] * x + body[IYZ] * y + body[IZZ] * z,
+    )
+
+
+@njit
+def set_accelerations(
+    chain: Chain, q: FloatArray, v: FloatArray, a: FloatArray, work: FloatArray
 ) -> None:
-    """Write force and moment that move body i: Newton's and Euler's equations about its origin."""
-    body = chain.inertial[i]
-    wx, wy, wz = rate
-    sx, sy, sz = spin
-    ax, ay, az = acceleration
-    hx, hy, hz = body[MX], body[MY], body[MZ]
-    # w x h and I w: momenta of the body's own rotation.
-    ux, uy, uz = wy * hz - wz * hy, wz * hx - wx * hz, wx * hy - wy * hx
-    lx = body[IXX] * wx + body[IXY] * wy + body[IXZ] * wz
-    ly = body[IXY] * wx + body[IYY] * wy + body[IYZ] * wz
-    lz = body[IXZ] * wx + body[IYZ] * wy + body[IZZ] * wz
-    work[i, _FORCE] = body[MASS] * ax + sy * hz - sz * hy + wy * uz - wz * uy
-    work[i, _FORCE + 1] = body[MASS] * ay + sz * hx - sx * hz + wz * ux - wx * uz
-    work[i, _FORCE + 2] = body[MASS] * az + sx * hy - sy * hx + wx * uy - wy * ux
-    work[i, _MOMENT] = (
-        body[IXX] * sx + body[IXY] * sy + body[IXZ] * sz + wy * lz - wz * ly + hy * az - hz * ay
-    )
-    work[i, _MOMENT + 1] = (
-        body[IXY] * sx + body[IYY] * sy + body[IYZ] * sz + wz * lx - wx * lz + hz * ax - hx * az
-    )
-    work[i, _MOMENT + 2] = (
-        body[IXZ] * sx + body[IYZ] * sy + body[IZZ] * sz + wx * ly - wy * lx + hx * ay - hy * ax
-    )
+    """Write rates, angular and linear accelerations (less free fall) of each joint frame."""
+    set_frames(chain, q, work)
+    w, s = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
+    # The base accelerates upwards instead of the bodies falling.
+    u = (-chain.gravity[0], -chain.gravity[1], -chain.gravity[2])
+    for i in range(q.shape[0]):
+        p = read(work, i, PLACE)
+        u = to_child(work, i, plus(plus(u, cross(s, p)), cross(w, cross(w, p))))
+        w, s = to_child(work, i, w), to_child(work, i, s)
+        if not chain.prismatic[i]:
+            s = (s[0] + w[1] * v[i], s[1] - w[0] * v[i], s[2] + a[i])
+            w = (w[0], w[1], w[2] + v[i])
+        else:
+            u = (u[0] + 2.0 * w[1] * v[i], u[1] - 2.0 * w[0] * v[i], u[2] + a[i])
+        write(work, i, RATE, w)
+        write(work, i, SPIN, s)
+        write(work, i, PUSH, u)
+
+
+@njit
+def _body_wrench(body: FloatArray, work: FloatArray, i: int) -> Wrench:
+    """Newton's and Euler's equations of a body about the origin of frame i, as it moves there."""
+    w, s, u, h = read(work, i, RATE), read(work, i, SPIN), read(work, i, PUSH), first_moment(body)
+    force = plus(plus(cross(s, h), cross(w, cross(w, h))), u, body[MASS])
+    own = plus(turning(body, s), cross(w, turning(body, w)))
+    return force, plus(own, cross(h, u))
 
 
 @njit
 def inverse_dynamics(
     chain: Chain, q: FloatArray, v: FloatArray, a: FloatArray, work: FloatArray, torque: FloatArray
 ) -> None:
-    """Torques that produce a motion.
-
-    Parameters
-    ----------
-    chain : Chain
-        The arm.
-    q, v, a : ndarray, shape (n,)
-        Positions, rates, accelerations [rad], [rad/s], [rad/s2]; of prismatic joints with m.
-    work : ndarray
-        From `workspace`.
-    torque : ndarray, shape (n,)
-        Written: tau without friction [N m], [N].
-    """
-    n = q.shape[0]
-    set_frames(chain, q, work)
-    wx, wy, wz, sx, sy, sz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    # The base accelerates upwards instead of the bodies falling.
-    ax, ay, az = -chain.gravity[0], -chain.gravity[1], -chain.gravity[2]
-    for i in range(n):
-        px, py, pz = work[i, PLACE], work[i, PLACE + 1], work[i, PLACE + 2]
-        cx, cy, cz = wy * pz - wz * py, wz * px - wx * pz, wx * py - wy * px
-        ax, ay, az = to_child(
-            work, i,
-            ax + sy * pz - sz * py + wy * cz - wz * cy,
-            ay + sz * px - sx * pz + wz * cx - wx * cz,
-            az + sx * py - sy * px + wx * cy - wy * cx)  # fmt: skip
-        wx, wy, wz = to_child(work, i, wx, wy, wz)
-        sx, sy, sz = to_child(work, i, sx, sy, sz)
-        if not chain.prismatic[i]:
-            sx, sy, sz = sx + wy * v[i], sy - wx * v[i], sz + a[i]
-            wz += v[i]
-        else:
-            ax, ay, az = ax + 2.0 * wy * v[i], ay - 2.0 * wx * v[i], az + a[i]
-        _body_wrench(chain, i, (wx, wy, wz), (sx, sy, sz), (ax, ay, az), work)
-    for i in range(n - 1, -1, -1):
-        torque[i] = along_axis(chain, i, work[i, _FORCE + 2], work[i, _MOMENT + 2])
-        for j in range(n):
+    """Torques that produce a motion, without friction, shape (n,) [N m], [N]."""
+    set_accelerations(chain, q, v, a, work)
+    wrench = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
+    for i in range(q.shape[0] - 1, -1, -1):
+        force, moment = _body_wrench(chain.inertial[i], work, i)
+        wrench = plus(force, wrench[0]), plus(moment, wrench[1])
+        torque[i] = along_axis(chain, i, wrench)
+        for j in range(q.shape[0]):
             torque[i] += chain.motor[i, j] * a[j]
         if i > 0:
-            add_wrench_to_parent(i, work, _FORCE, _MOMENT)
+            wrench = wrench_to_parent(work, i, wrench)
