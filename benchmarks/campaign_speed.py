@@ -29,11 +29,10 @@ KINDS = ['none', 'bias', 'drift', 'stuck', 'scale', 'noise', 'spike', 'dropout']
 
 
 @njit
-def _plant_alone(plant, count):
-    constants, state = plant.constants, plant.state
+def _plant_alone(plant, chances, count):
     for _ in range(count):
-        read_sensors(constants, state, plant.faults, plant.noise, plant.chance)
-        integrate(plant.chain, constants, state, plant.scratch, plant.matrix)
+        read_sensors(plant, chances.noise, chances.fault)
+        integrate(plant, plant.state.torque)
 
 
 def plant_time(arm: SerialArm, scenario: Scenario) -> float:
@@ -42,7 +41,7 @@ def plant_time(arm: SerialArm, scenario: Scenario) -> float:
     one.hold()  # its torques hold the arm
     count = round(DURATION / arm.sample_time)
     start = time.process_time()
-    _plant_alone(one.parts, count)
+    _plant_alone(one.parts, one.chances, count)
     return time.process_time() - start
 
 

@@ -20,7 +20,7 @@ from lpv import Gains, SerialArm, load_arm, load_gains, load_scenario
 from lpv.core.control.tracking import TrackingController
 from lpv.core.control.tracking_law import track
 from lpv.core.monitoring.serial_monitor import SerialSensorMonitor
-from lpv.core.simulation.arm_simulator import ArmSimulator, integrate, read_sensors, set_torque
+from lpv.core.simulation.arm_simulator import ArmSimulator, drive, read_sensors
 from lpv.core.support.jit import njit
 from lpv.core.uio.planar import planar_model
 
@@ -42,17 +42,16 @@ EDGE, REACH = 0.97, 0.9
 
 
 @njit
-def _advance(plant, tracker, references, samples):
+def _advance(plant, chances, tracker, references, samples):
     """One sample for each reference; writes readings, their rates and efforts, (N, 3, n)."""
     constants, state = plant.constants, plant.state
     for k in range(len(references)):
-        read_sensors(constants, state, plant.faults, plant.noise, plant.chance)
+        read_sensors(plant, chances.noise, chances.fault)
         sample = samples[k]
         sample[0, :], sample[1, :] = state.measured_position, state.measured_velocity
         sample[2, :] = state.torque
         track(tracker, references[k], sample[0], sample[1], sample[0], constants.sample_time)
-        set_torque(constants, state, tracker.torque, plant.push)
-        integrate(plant.chain, constants, state, plant.scratch, plant.matrix)
+        drive(plant, tracker.torque, chances.push)
 
 
 @dataclass
@@ -79,7 +78,7 @@ class Loop:
         )  # fmt: skip
         one = ArmSimulator(arm, scenario)
         one.state.motion[0] = self.pose = pose
-        self._plant = one.parts
+        self._plant = one.parts, one.chances
         self._tracker = TrackingController(arm, gains).parts
         self._monitor = SerialSensorMonitor('loop', arm, gains=gains, observer='uio')
         self._simulator, self._period = one, arm.sample_time
@@ -115,7 +114,7 @@ class Loop:
         """``motion``: joint positions less those of the pose, rates, accelerations."""
         references, samples = motion.copy(), np.empty((len(motion), 3, 2))
         references[:, 0] += self.pose
-        _advance(self._plant, self._tracker, references, samples)
+        _advance(*self._plant, self._tracker, references, samples)
         counts = self.counts
         steps = 1 + counts.samples + np.arange(len(motion))
         stamps = np.round(steps * self._period * 1e9).astype(np.int64)

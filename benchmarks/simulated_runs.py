@@ -10,13 +10,7 @@ from lpv.core.serial_arm.chain import Chain, FloatArray, compile_chain, workspac
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.serial_arm.dynamics.friction import friction_torque
 from lpv.core.serial_arm.dynamics.newton_euler import inverse_dynamics
-from lpv.core.simulation.arm_simulator import (
-    ArmSimulator,
-    PlantParts,
-    integrate,
-    read_sensors,
-    set_torque,
-)
+from lpv.core.simulation.arm_simulator import ArmSimulator, Chances, PlantParts, drive, read_sensors
 from lpv.core.simulation.faults import Fault
 from lpv.core.simulation.scenario import Scenario
 from lpv.core.support.jit import njit_in_place as njit
@@ -42,6 +36,7 @@ class _Loop(NamedTuple):
     """The true arm, and its controller's model."""
 
     plant: PlantParts
+    chances: Chances
     model: Chain
     limit: FloatArray  # of the commanded torques [N m]
     work: FloatArray
@@ -53,10 +48,10 @@ def _close(
     loop: _Loop, path: FloatArray, outside: FloatArray, samples: FloatArray, position: FloatArray
 ) -> None:
     """Follow a path, shape (3, N, n), against torques from outside."""
-    plant, state = loop.plant, loop.plant.state
+    plant, state, chances = loop.plant, loop.plant.state, loop.chances
     wanted, load, torque = loop.vectors
     for k in range(len(samples)):
-        read_sensors(plant.constants, state, plant.faults, plant.noise, plant.chance)
+        read_sensors(plant, chances.noise, chances.fault)
         sample, q, v = samples[k], path[0, k], path[1, k]
         for i in range(len(q)):
             sample[0, i], sample[1, i] = state.measured_position[i], state.measured_velocity[i]
@@ -68,8 +63,7 @@ def _close(
         for i in range(len(q)):
             torque[i] = min(max(load[i] + torque[i], -loop.limit[i]), loop.limit[i])
             load[i] = torque[i] + outside[k, i]
-        set_torque(plant.constants, state, load, plant.push)
-        integrate(plant.chain, plant.constants, state, plant.scratch, plant.matrix)
+        drive(plant, load, chances.push)
 
 
 def simulated_run(
@@ -93,7 +87,7 @@ def simulated_run(
     simulator.state.motion[1] = path[1, 0]
     parts = simulator.parts if plant is None else simulator.parts._replace(chain=plant)
     limit = np.array(arm.torque_limit)
-    loop = _Loop(parts, model, limit, workspace(model), np.zeros((3, n)))
+    loop = _Loop(parts, simulator.chances, model, limit, workspace(model), np.zeros((3, n)))
     samples, position, outside = np.zeros((count, 3, n)), np.zeros((count, n)), np.zeros((count, n))
     for push in pushes:
         outside[(push.begin <= time) & (time < push.end)] += push.torque

@@ -16,7 +16,7 @@ import numpy as np
 from lpv.campaign.falsify import healthy_run
 from lpv.core.monitoring.parameters import DiagnosisParameters
 from lpv.core.monitoring.serial_monitor import SerialSensorMonitor
-from lpv.core.serial_arm.chain import Chain, FloatArray, compile_chain, workspace
+from lpv.core.serial_arm.chain import Chain, FloatArray, compile_chain
 from lpv.core.serial_arm.description import RATE_BIAS, SerialArm
 from lpv.core.serial_arm.diagnosis.alarms import GUARANTEED, Alarm, SensorState
 from lpv.core.serial_arm.diagnosis.healthy_balance import generator_count
@@ -29,7 +29,7 @@ from lpv.core.serial_arm.diagnosis.parameter_set import (
     payload_generator,
 )
 from lpv.core.serial_arm.simulation import plant_scratch
-from lpv.core.simulation.arm_simulator import plant_constants, plant_state
+from lpv.core.simulation.arm_simulator import PlantParts, plant_constants, plant_state
 from lpv.core.simulation.faults import Fault, FaultInjector
 from lpv.core.simulation.scenario import Scenario
 from lpv.core.support.errors import ConfigError
@@ -108,9 +108,9 @@ class Attacker:
         if gains is not None:  # they are of rates with sensors of their own
             constants.derived[:] = 0
         faults = (Fault(name, 'rate_bias', 0.0, size=1.0) for name in arm.sensor_names)
-        self._plant = constants, plant_state(n)
-        self._faults = FaultInjector(arm.sensor_names, faults, np.random.default_rng(0)).records
-        self._scratch = plant_scratch(chain), np.empty((n, n)), workspace(chain)
+        records = FaultInjector(arm.sensor_names, faults, np.random.default_rng(0)).records
+        rest = records, plant_scratch(chain), np.empty((n, n))
+        self._plant = PlantParts(chain, constants, plant_state(n), *rest)
 
     def structured(self, rng: np.random.Generator) -> list[FloatArray]:
         """Candidates that an engineer would try: rest, slow and fast motion, corners of the arm."""
@@ -163,10 +163,9 @@ class Attacker:
         course = healthy_run.Course(
             self.range.to_joint, np.array(attack.joints), attack.disturbance, attack.rest,
             attack.switch_speed, attack.switch_phase, attack.rate_switch)  # fmt: skip
-        good = bool(healthy_run.simulate(
-            self.range.member(shares), course, *self._plant, self._faults,
-            np.random.default_rng(attack.seed), self._scratch, samples,
-        ))  # fmt: skip
+        plant = self._plant._replace(chain=self.range.member(shares))
+        noise = np.random.default_rng(attack.seed)
+        good = bool(healthy_run.simulate(plant, course, noise, samples))
         return good and bool(np.abs(samples).max() < LARGEST)
 
     def run(self, attack: Attack) -> Finding:

@@ -8,11 +8,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lpv.core.serial_arm.chain import Chain, FloatArray
+from lpv.core.serial_arm.chain import FloatArray
 from lpv.core.serial_arm.dynamics.friction import friction_torque
 from lpv.core.serial_arm.dynamics.newton_euler import inverse_dynamics
-from lpv.core.serial_arm.simulation import plant_step
-from lpv.core.simulation.arm_simulator import PlantConstants, PlantState, read_sensors, set_torque
+from lpv.core.simulation.arm_simulator import PlantParts, integrate, read_sensors, set_torque
 from lpv.core.support.jit import njit
 
 _ROWS = range(7)
@@ -60,21 +59,19 @@ def _follow(course: Course, time: float, goal: FloatArray) -> None:
 
 @njit
 def simulate(
-    true_arm: Chain,
+    plant: PlantParts,  # with faults that are an error of each sensor's rate
     course: Course,
-    params: PlantConstants,
-    state: PlantState,
-    faults: np.ndarray,  # an error of each sensor's rate
     noise: np.random.Generator,  # of sensors and disturbance
-    scratch: tuple[FloatArray, FloatArray, FloatArray],  # two of `plant_step`, and a workspace
     samples: FloatArray,  # joint positions, rates and efforts as measured
 ) -> bool:
     """Fill samples (N, 3, n) of a run; False if the mass matrix is not positive definite."""
-    own, n = state.own[0], samples.shape[2]
+    params, state, true_arm, n = plant.constants, plant.state, plant.chain, samples.shape[2]
+    own, work = state.own[0], plant.scratch[:n]
     goal, wanted, friction = np.zeros((3, n)), np.zeros(n), np.zeros(n)
     torque, gain = np.zeros(n), min(20.0, 0.1 / params.sample_time)
     _follow(course, 0.0, goal)
-    state.motion[:], state.torque[:], state.reading[:], own.step_count = goal[:2], 0.0, 0.0, 0
+    state.motion[:], state.torque[:], state.reading[:] = goal[:2], 0.0, 0.0
+    own.step_count, own.failed = 0, False
     for k in range(samples.shape[0]):
         time, sign = k * params.sample_time, 1.0
         if course.switch_speed > 0.0:
@@ -83,26 +80,23 @@ def simulate(
             wrong = course.joints[RATE_BIAS, i]
             for j in range(n):
                 wrong += course.joints[RATE_SCALE, i] * params.sensor[i, j] * state.motion[1, j]
-            faults[i].amount = wrong * (sign if course.rate_switch > 0.5 else 1.0)
-        read_sensors(params, state, faults, noise, noise)
+            plant.faults[i].amount = wrong * (sign if course.rate_switch > 0.5 else 1.0)
+        read_sensors(plant, noise, noise)
         _follow(course, time, goal)
         for i in range(n):
             samples[k, 0, i], samples[k, 2, i] = state.measured_position[i], state.effort[i]
             samples[k, 1, i] = state.measured_velocity[i]
             wanted[i] = goal[2, i] + gain * gain * (goal[0, i] - state.motion[0, i])
             wanted[i] += 2.0 * gain * (goal[1, i] - state.motion[1, i])
-        inverse_dynamics(true_arm, state.motion[0], state.motion[1], wanted, scratch[2], torque)
+        inverse_dynamics(true_arm, state.motion[0], state.motion[1], wanted, work, torque)
         friction_torque(true_arm, state.motion[1], torque, friction)
         for i in range(n):
             torque[i] += friction[i]
         own.push_mean = sign * course.disturbance
-        set_torque(params, state, torque, noise)
+        set_torque(plant, torque, noise)
         for i in range(n):
             torque[i] = state.torque[i] + sign * course.joints[PUSH, i]
-        if not plant_step(
-            true_arm, state.motion, torque, params.step, params.substeps, scratch[0], scratch[1],
-            state.push,
-        ):  # fmt: skip
+        integrate(plant, torque)
+        if own.failed:
             return False
-        own.step_count += 1
     return True

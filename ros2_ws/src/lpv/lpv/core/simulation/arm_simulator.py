@@ -1,7 +1,4 @@
-"""A simulated arm with its sensors: plant, disturbance, noise and faults, step by step.
-
-All compiled functions take `PlantConstants` and `PlantState`.
-"""
+"""A simulated arm with its sensors: plant, disturbance, noise and faults, step by step."""
 
 import math
 from typing import NamedTuple, Protocol
@@ -9,7 +6,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lpv.core.serial_arm.chain import OFFSET, BoolArray, Chain, FloatArray, workspace
+from lpv.core.serial_arm.chain import OFFSET, BoolArray, Chain, FloatArray
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.serial_arm.dynamics.newton_euler import inverse_dynamics
 from lpv.core.serial_arm.sensor_map import map_vector
@@ -76,17 +73,25 @@ class PlantState(NamedTuple):
 
 
 class PlantParts(NamedTuple):
-    """Arguments of the compiled functions."""
+    """What the compiled functions take."""
 
     chain: Chain  # the true arm
     constants: PlantConstants
     state: PlantState
     faults: np.ndarray  # records of `FaultInjector`
-    scratch: FloatArray  # of `integrate`, as the next one
+    scratch: FloatArray  # of `plant_step`, as the next one
     matrix: FloatArray
+
+
+class Chances(NamedTuple):
+    """One stream of random numbers for each purpose: a fault must not change noise or disturbance.
+
+    Where Python calls compiled functions, a generator costs as much as all the rest.
+    """
+
     noise: np.random.Generator  # of the sensors
     push: np.random.Generator  # of the disturbance
-    chance: np.random.Generator  # of faults
+    fault: np.random.Generator
 
 
 class Engine(Protocol):
@@ -103,12 +108,10 @@ class Engine(Protocol):
 
 
 @njit
-def set_torque(
-    params: PlantConstants, state: PlantState, torque: FloatArray, generator: np.random.Generator
-) -> None:
+def set_torque(plant: PlantParts, torque: FloatArray, generator: np.random.Generator) -> None:
     """Set joint torques [N m] for the coming step, within limits, and draw the disturbance."""
+    params, state, own = plant.constants, plant.state, plant.state.own[0]
     draw = generator.standard_normal() if params.push_deviation > 0.0 else 0.0
-    own = state.own[0]
     own.disturbance = own.push_mean + params.push_deviation * draw
     for i in range(torque.shape[0]):
         limit = params.torque_limit[i]
@@ -117,24 +120,31 @@ def set_torque(
 
 
 @njit
-def integrate(
-    chain: Chain, params: PlantConstants, state: PlantState, scratch: FloatArray, matrix: FloatArray
-) -> None:
-    """Advance the plant by one sample time; scratch memory as of `plant_step`."""
+def integrate(plant: PlantParts, torque: FloatArray) -> None:
+    """Advance the plant by one sample time with torques of drives and from outside [N m]."""
+    params, state = plant.constants, plant.state
     if not plant_step(
-        chain, state.motion, state.torque, params.step, params.substeps, scratch, matrix, state.push
-    ):
+        plant.chain, state.motion, torque, params.step, params.substeps, plant.scratch,
+        plant.matrix, state.push,
+    ):  # fmt: skip
         state.own[0].failed = True
     state.own[0].step_count += 1
 
 
 @njit
-def brake(chain: Chain, state: PlantState, work: FloatArray) -> None:
+def drive(plant: PlantParts, torque: FloatArray, generator: np.random.Generator) -> None:
+    """Let one sample time pass with torques of the drives [N m], see `set_torque`."""
+    set_torque(plant, torque, generator)
+    integrate(plant, plant.state.torque)
+
+
+@njit
+def brake(plant: PlantParts) -> None:
     """Let one sample time pass with the brakes engaged; efforts then read what holds the arm."""
-    n = state.torque.shape[0]
-    position, still = state.motion[0], state.motion[1]
+    chain, state = plant.chain, plant.state
+    n, position, still = state.torque.shape[0], state.motion[0], state.motion[1]
     still[:] = 0.0
-    inverse_dynamics(chain, position, still, still, work, state.torque)
+    inverse_dynamics(chain, position, still, still, plant.scratch[:n], state.torque)
     for i in range(n):
         state.torque[i] += chain.friction[i, OFFSET]
     state.own[0].disturbance = 0.0
@@ -143,13 +153,10 @@ def brake(chain: Chain, state: PlantState, work: FloatArray) -> None:
 
 @njit
 def read_sensors(
-    params: PlantConstants,
-    state: PlantState,
-    faults: np.ndarray,
-    noise: np.random.Generator,
-    chance: np.random.Generator,
+    plant: PlantParts, noise: np.random.Generator, chance: np.random.Generator
 ) -> None:
     """Read the sensors at the present sample, with noise and faults from two generators."""
+    params, state, faults = plant.constants, plant.state, plant.faults
     # Drawn with or without noise, so that both runs share the later numbers.
     for i in range(state.draw.shape[0]):
         state.draw[i, 0], state.draw[i, 1] = noise.standard_normal(), noise.standard_normal()
@@ -203,20 +210,12 @@ class ArmSimulator:
     ----------
     injector : FaultInjector
         Faults, scheduled and injected while running.
-    chain : Chain
-        The true arm.
-    constants : PlantConstants
-        Of plant and sensors.
     state : PlantState
         Of plant and sensors.
-    noise : numpy.random.Generator
-        Of the sensors' noise.
-    push : numpy.random.Generator
-        Of the disturbance.
+    chances : Chances
+        Of the run.
     engine : Engine or None
         Integrates the arm in place of `integrate`.
-    scratch, matrix : ndarray
-        Scratch memory of `integrate`.
     signals : dict
         Arrays of shape (n,), the disturbance's of (1,), that `read` writes, with the fields of
         `state`: true ``position``, ``velocity``, ``fault`` and ``disturbance``;
@@ -224,20 +223,16 @@ class ArmSimulator:
     """
 
     def __init__(self, arm: SerialArm, scenario: Scenario, substeps: int = 2) -> None:
-        self.arm, self.scenario = arm, scenario
-        self.sample_time = arm.sample_time
-        self.chain = scenario.true_chain(arm)
+        self.sample_time, n, chain = arm.sample_time, len(arm.joints), scenario.true_chain(arm)
         streams = np.random.SeedSequence(scenario.seed).spawn(3)
-        # One stream per purpose: injecting a fault must not change noise and disturbance.
-        self.noise, self.push, chance = (np.random.default_rng(stream) for stream in streams)
-        self.injector = FaultInjector(arm.sensor_names, scenario.faults, chance)
-        n = len(arm.joints)
-        self.constants = plant_constants(arm, scenario, self.chain, substeps)
+        self.chances = Chances(*(np.random.default_rng(stream) for stream in streams))
+        self.injector = FaultInjector(arm.sensor_names, scenario.faults, self.chances.fault)
+        constants = plant_constants(arm, scenario, chain, substeps)
         self.state = plant_state(n, disturbance_of(arm, scenario)[1])
         self.state.motion[0] = scenario.path(arm).sample(0.0).position
-        self.engine = _engine(arm, scenario, self.chain)
-        self.scratch, self.matrix = plant_scratch(self.chain), np.empty((n, n))
-        self._work = workspace(self.chain)
+        self.engine = _engine(arm, scenario, chain)
+        rest = self.injector.records, plant_scratch(chain), np.empty((n, n))
+        self._parts = PlantParts(chain, constants, self.state, *rest)
         self.signals = {name: getattr(self.state, name) for name in SIGNALS}
         self.signals['disturbance'] = self.state.own['disturbance']
         self._sensed, self._call = False, Entries()
@@ -245,10 +240,9 @@ class ArmSimulator:
     @property
     def parts(self) -> PlantParts:
         """For loops that call the compiled functions, until a fault is injected or cleared."""
-        return PlantParts(
-            self.chain, self.constants, self.state, self.injector.records, self.scratch,
-            self.matrix, self.noise, self.push, self.injector.generator,
-        )  # fmt: skip
+        if self._parts.faults is not self.injector.records:
+            self._parts = self._parts._replace(faults=self.injector.records)
+        return self._parts
 
     @property
     def step_count(self) -> int:
@@ -280,31 +274,28 @@ class ArmSimulator:
             raise ValueError(
                 f'torque must be {len(self.state.torque)} finite numbers, got {joint_torque!r}'
             )
-        self._call(set_torque, self.constants, self.state, torque, self.push)
+        act = drive if self.engine is None else set_torque
+        self._call(act, self.parts, torque, self.chances.push)
         self.advance()
         self._sensed = False
 
     def advance(self) -> None:
-        """Advance the plant by one sample time under the torque that was set.
+        """Let the engine, if there is one, advance the plant by one sample time.
 
         Raises
         ------
         ConfigError
             If the true arm is not physical.
         """
-        params, state = self.constants, self.state
-        if self.engine is None:
-            self._call(integrate, self.chain, params, state, self.scratch, self.matrix)
-        else:
-            self.engine.advance(
-                state.motion, state.torque, state.push, params.sample_time, params.substeps
-            )
+        state, steps = self.state, self._parts.constants.substeps
+        if self.engine is not None:
+            self.engine.advance(state.motion, state.torque, state.push, self.sample_time, steps)
             state.own['step_count'] += 1
         refuse_failure(state)
 
     def hold(self) -> None:
         """Let one sample time pass with the brakes engaged, see `brake`."""
-        self._call(brake, self.chain, self.state, self._work)
+        self._call(brake, self.parts)
         self._sensed = False
 
     def sense(self) -> dict[str, np.ndarray]:
@@ -315,15 +306,7 @@ class ArmSimulator:
     def read(self) -> None:
         """Read the sensors into `signals`, if that was not done at the present sample."""
         if not self._sensed:
-            injector = self.injector
-            self._call(
-                read_sensors,
-                self.constants,
-                self.state,
-                injector.records,
-                self.noise,
-                injector.generator,
-            )
+            self._call(read_sensors, self.parts, self.chances.noise, self.chances.fault)
             self._sensed = True
 
 

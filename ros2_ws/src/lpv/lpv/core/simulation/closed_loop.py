@@ -8,6 +8,7 @@ first one, one after a gap, with missing values, or after such) goes through the
 `take_many`, as in the node.
 """
 
+from collections import namedtuple
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -36,7 +37,6 @@ from lpv.core.monitoring.compensation import AnswerRows, answer_rows
 from lpv.core.monitoring.parameters import DiagnosisParameters
 from lpv.core.monitoring.sample_loop import PROGRESS, Answering, advance
 from lpv.core.monitoring.serial_monitor import SerialSensorMonitor
-from lpv.core.monitoring.stepped_monitor import SteppedMonitor
 from lpv.core.serial_arm.chain import FloatArray, IntArray
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.serial_arm.diagnosis.alarms import Alarm
@@ -45,10 +45,10 @@ from lpv.core.serial_arm.diagnosis.monitor import LONGEST_STEP
 from lpv.core.serial_arm.sensor_map import map_vector
 from lpv.core.simulation.arm_simulator import (
     ArmSimulator,
+    Chances,
     PlantParts,
-    PlantState,
     brake,
-    integrate,
+    drive,
     read_sensors,
     refuse_failure,
     set_torque,
@@ -74,7 +74,6 @@ _NONE, _SILENCE = int(StopReason.NONE), int(StopReason.SILENCE)
 _LOOP = record_type(
     ('phase', 'i8'),  # where in a sample the loop goes on
     ('external', '?'),  # whether the plant is integrated outside
-    ('period', 'f8'),  # sample time [s]
     ('previous', 'i8'),  # sample of the last command, or NEVER
     ('started', '?'),  # whether a command was ever given
     ('offset', 'i8'),  # samples by which the path is late
@@ -91,111 +90,81 @@ _LOOP = record_type(
 )
 
 
-_ROW = record_type(
-    ('time', 'f8'),
-    ('lost', '?'),
-    ('safe_stop', '?'),
-    ('answered', 'i8'),  # sample that the command answers
-    ('disturbance', 'f8'),
-    ('place', 'i8'),
-    ('stop_reason', 'u1'),
-    ('brake_reason', 'u1'),
+_Signals = namedtuple(
+    '_Signals',
+    'position velocity measured measured_velocity effort reference fault torque command lost '
+    'safe_stop disturbance place answered stop_reason brake_reason',
 )
+"""Signals of `Run` that the loop writes, and the sample that each command answers."""
 
 
-class _Signals(NamedTuple):
-    """Signals of `Run` that the loop writes, one row per sample."""
-
-    rows: np.recarray  # (m,) of `_ROW`
-    position: FloatArray  # (m, n), as all that follow
-    velocity: FloatArray
-    measured: FloatArray
-    measured_velocity: FloatArray
-    effort: FloatArray
-    reference: FloatArray
-    fault: FloatArray
-    torque: FloatArray
-    command: FloatArray
+def _new_signals(count: int, joints: int) -> _Signals:
+    flags, numbers = np.zeros((2, count), bool), np.zeros((2, count), np.int64)
+    reasons = np.zeros((2, count), np.uint8)
+    vectors = np.zeros((9, count, joints))
+    return _Signals._make([*vectors, *flags, np.zeros(count), *numbers, *reasons])
 
 
-class _Observer(NamedTuple):
-    """`advance` and its arguments, for all samples of the run."""
+class _Loop(NamedTuple):
+    """What the compiled loop works on, for all samples of the run."""
 
-    advance: Callable[..., bool]
+    own: np.ndarray  # memory of a record of `_LOOP`
+    plant: PlantParts
+    chances: Chances
+    losses: np.random.Generator  # of measurements
+    blocked: np.ndarray  # of the transport
+    advance: Callable[..., bool]  # that of the diagnosis, and its arguments
     parts: Parts
     plan: tuple[int, int]
+    answering: Answering
+    answers: AnswerRows
     stamps: IntArray
     times: FloatArray
     samples: FloatArray
-    answering: Answering
-    answers: AnswerRows
     feedback: FloatArray  # those positions of the answers that the loop is closed on
-    losses: np.random.Generator  # of measurements
-
-
-class _Tracker(NamedTuple):
-    """Arguments of the tracking law; references of all samples; both watchdogs."""
-
     law: LawParts
     references: FloatArray
     correction: Correction
     watchdog: TrackerWatchdogParts
     drives: DriveWatchdogParts
-    feedback: FloatArray  # (n,) position that the loop is closed on [rad]
-    rate: FloatArray  # (n,) rates that the loop is closed on [rad/s]
+    signals: _Signals
+    position: FloatArray  # (n,) that the loop is closed on [rad]
+    rate: FloatArray  # (n,) that the loop is closed on [rad/s]
 
 
 @njit
-def _run(
-    shared: np.ndarray,
-    plant: PlantParts,
-    observer: _Observer,
-    tracker: _Tracker,
-    signals: _Signals,
-    blocked: np.ndarray,
-    first: int,
-) -> int:
-    """Go on from a sample until something is needed from outside.
-
-    ``shared`` is the memory of the loop's record.
-    """
-    loop = shared[0]
-    for k in range(first, len(blocked)):
-        if loop.phase == _SENSE:
-            _sense(loop, plant, observer, tracker, signals, blocked[k], k)
-        if loop.phase == _MONITOR:
+def _run(loop: _Loop, first: int) -> int:
+    """Go on from a sample until something is needed from outside."""
+    own = loop.own[0]
+    for k in range(first, len(loop.blocked)):
+        if own.phase == _SENSE:
+            _sense(loop, k)
+        if own.phase == _MONITOR:
             return k
-        if loop.phase == _TAKE:
-            _take(loop, observer, k)
-        if loop.phase == _DECIDE:
+        if own.phase == _TAKE:
+            _take(loop, k)
+        if own.phase == _DECIDE:
             return k
-        if loop.phase == _ESTIMATE:
-            _estimate(loop, observer, tracker, blocked[k], k)
-        if loop.phase == _START:
+        if own.phase == _ESTIMATE:
+            _estimate(loop, k)
+        if own.phase == _START:
             return k
-        if loop.phase == _COMMAND:
-            _command(loop, observer, tracker, k)
-        _act(loop, plant, observer, tracker, signals, blocked[k], k)
-        if loop.phase == _ADVANCE:
+        if own.phase == _COMMAND:
+            _command(loop, k)
+        _act(loop, k)
+        if own.phase == _ADVANCE:
             return k + 1
-    return len(blocked)
+    return len(loop.blocked)
 
 
 @njit
-def _sense(
-    loop: np.record,
-    plant: PlantParts,
-    observer: _Observer,
-    tracker: _Tracker,
-    signals: _Signals,
-    blocked: int,
-    k: int,
-) -> None:
+def _sense(loop: _Loop, k: int) -> None:
     """Read the sensors, and choose the way of the measurement unless it is lost."""
-    row, state, sample = signals.rows[k], plant.state, observer.samples[k]
-    loop.ran = False
-    read_sensors(plant.constants, state, plant.faults, plant.noise, plant.chance)
-    row.disturbance = state.own[0].disturbance
+    own, plant, sample = loop.own[0], loop.plant, loop.samples[k]
+    state, signals = plant.state, loop.signals
+    own.ran = False
+    read_sensors(plant, loop.chances.noise, loop.chances.fault)
+    signals.disturbance[k] = state.own[0].disturbance
     map_vector(plant.constants.sensor, state.measured_position, sample[0])
     map_vector(plant.constants.sensor, state.measured_velocity, sample[1])
     missing = False
@@ -204,132 +173,115 @@ def _sense(
         sample[2, i] = state.effort[i] * plant.constants.effort_gain[i]
         if not (abs(sample[0, i]) < np.inf and abs(sample[1, i]) < np.inf):
             missing = True
-    row.lost = loop.loss > 0.0 and observer.losses.random() < loop.loss
-    row.lost = row.lost or blocked & NO_MEASUREMENT != 0
-    waited = 0 if loop.previous == NEVER else observer.stamps[k] - observer.stamps[loop.previous]
-    if waited > tracker.watchdog.own[0].silence:
-        _stop(loop, tracker, _SILENCE)
-    if row.lost:
-        loop.phase = _ACT
+    lost = own.loss > 0.0 and loop.losses.random() < own.loss
+    signals.lost[k] = lost = lost or loop.blocked[k] & NO_MEASUREMENT != 0
+    waited = 0 if own.previous == NEVER else loop.stamps[k] - loop.stamps[own.previous]
+    if waited > loop.watchdog.own[0].silence:
+        _stop(loop, _SILENCE)
+    if lost:
+        own.phase = _ACT
         return
-    follows = loop.usable != NEVER and k - loop.usable <= LONGEST_STEP
-    loop.phase = _TAKE if follows and not (missing or loop.missing) else _MONITOR
-    loop.missing = missing
-    if loop.phase == _TAKE:
-        loop.usable = k
+    follows = own.usable != NEVER and k - own.usable <= LONGEST_STEP
+    own.phase = _TAKE if follows and not (missing or own.missing) else _MONITOR
+    own.missing = missing
+    if own.phase == _TAKE:
+        own.usable = k
 
 
 @njit
-def _take(loop: np.record, observer: _Observer, k: int) -> None:
+def _take(loop: _Loop, k: int) -> None:
     """Hand the sample to the diagnosis, which decides and answers as far as it needs no Python."""
-    progress = observer.answering.progress[0]
+    progress = loop.answering.progress[0]
     progress.taken = progress.answered = progress.reported = 0
-    waits = observer.advance(
-        observer.parts,
-        observer.plan,
-        observer.answering,
-        observer.answers,
-        k,
-        observer.stamps[k : k + 1],
-        observer.times[k : k + 1],
-        observer.samples[k : k + 1],
+    stamps, times, samples = loop.stamps[k : k + 1], loop.times[k : k + 1], loop.samples[k : k + 1]
+    waits = loop.advance(
+        loop.parts, loop.plan, loop.answering, loop.answers, k, stamps, times, samples
     )
-    loop.phase = _DECIDE if waits else _ESTIMATE
+    loop.own[0].phase = _DECIDE if waits else _ESTIMATE
 
 
 @njit
-def _estimate(
-    loop: np.record, observer: _Observer, tracker: _Tracker, blocked: int, k: int
-) -> None:
+def _estimate(loop: _Loop, k: int) -> None:
     """Whether the tracker follows the answer."""
-    if blocked & NO_ESTIMATE != 0:
-        loop.phase = _ACT
+    own, answers = loop.own[0], loop.answers
+    if loop.blocked[k] & NO_ESTIMATE != 0:
+        own.phase = _ACT
         return
-    answers = observer.answers
-    for i in range(len(tracker.feedback)):
-        tracker.feedback[i], tracker.rate[i] = observer.feedback[k, i], answers.velocity[k, i]
-    reason = check_estimate(
-        tracker.watchdog,
-        observer.stamps[k],
-        0,
+    for i in range(len(loop.position)):
+        loop.position[i], loop.rate[i] = loop.feedback[k, i], answers.velocity[k, i]
+    mode, trustworthy, measured = (
         answers.mode[k],
         answers.trustworthy[k],
-        tracker.rate,
         answers.measured_velocity[k],
     )
-    loop.answered = k
+    reason = check_estimate(
+        loop.watchdog, loop.stamps[k], 0, mode, trustworthy, loop.rate, measured
+    )
+    own.answered = k
     if reason != _NONE:
-        _stop(loop, tracker, reason)
+        _stop(loop, reason)
     else:
-        loop.phase = _START if loop.previous == NEVER else _COMMAND
+        own.phase = _START if own.previous == NEVER else _COMMAND
 
 
 @njit
-def _stop(loop: np.record, tracker: _Tracker, reason: int) -> None:
-    loop.stop, loop.previous, loop.reason, loop.phase = True, NEVER, reason, _ACT
-    tracker.law.integral[:] = 0.0
-    tracker.law.torque[:] = 0.0
-    tracker.correction.stamp[0] = NEVER
-    tracker.watchdog.own[0].started = False  # the next reference is a start
+def _stop(loop: _Loop, reason: int) -> None:
+    own = loop.own[0]
+    own.stop, own.previous, own.reason, own.phase = True, NEVER, reason, _ACT
+    loop.law.integral[:] = 0.0
+    loop.law.torque[:] = 0.0
+    loop.correction.stamp[0] = NEVER
+    loop.watchdog.own[0].started = False  # the next reference is a start
 
 
 @njit
-def _command(loop: np.record, observer: _Observer, tracker: _Tracker, k: int) -> None:
+def _command(loop: _Loop, k: int) -> None:
     """Answer an estimate as the tracker node does."""
-    now, loop.ran = observer.stamps[k], True
-    reference = tracker.references[k - loop.offset]
-    measured = observer.answers.measured[k]
-    reason = check_motion(tracker.watchdog, now, reference[0], tracker.feedback, measured)
+    own, now, measured = loop.own[0], loop.stamps[k], loop.answers.measured[k]
+    own.ran, reference = True, loop.references[k - own.offset]
+    reason = check_motion(loop.watchdog, now, reference[0], loop.position, measured)
     if reason != _NONE:
-        _stop(loop, tracker, reason)
+        _stop(loop, reason)
         return
-    limit_correction(tracker.correction, now, tracker.feedback, tracker.rate)
-    feedback, rate = tracker.correction.feedback[0], tracker.correction.feedback[1]
+    limit_correction(loop.correction, now, loop.position, loop.rate)
+    feedback, rate = loop.correction.feedback[0], loop.correction.feedback[1]
     # Eq. (59) literally integrates the faulty measurement.
-    integrated = measured if loop.literal else feedback
-    interval = (now - observer.stamps[loop.previous]) / NANOSECONDS
-    track(tracker.law, reference, feedback, rate, integrated, interval)
-    loop.stop, loop.previous, loop.reason, loop.phase = False, k, _NONE, _ACT
+    integrated = measured if own.literal else feedback
+    interval = (now - loop.stamps[own.previous]) / NANOSECONDS
+    track(loop.law, reference, feedback, rate, integrated, interval)
+    own.stop, own.previous, own.reason, own.phase = False, k, _NONE, _ACT
 
 
 @njit
-def _act(
-    loop: np.record,
-    plant: PlantParts,
-    observer: _Observer,
-    tracker: _Tracker,
-    signals: _Signals,
-    blocked: int,
-    k: int,
-) -> None:
+def _act(loop: _Loop, k: int) -> None:
     """Log the sample with its command, and let the one that has arrived act over the sample."""
-    row, state, now, n = signals.rows[k], plant.state, observer.stamps[k], len(tracker.feedback)
-    if loop.stop and loop.started and not loop.ran:
-        loop.offset += 1  # the clock of the path stands still
-    place = min(max(k - loop.offset, 0), len(tracker.references) - 1)
+    own, plant, signals, now = loop.own[0], loop.plant, loop.signals, loop.stamps[k]
+    state, n, push = plant.state, len(loop.position), loop.chances.push
+    if own.stop and own.started and not own.ran:
+        own.offset += 1  # the clock of the path stands still
+    place = min(max(k - own.offset, 0), len(loop.references) - 1)
+    signals.safe_stop[k], signals.answered[k] = own.stop, own.answered
+    signals.place[k], signals.stop_reason[k] = place, own.reason
     for i in range(n):
-        signals.command[k, i] = tracker.law.torque[i]
-    row.safe_stop, row.answered = loop.stop, loop.answered
-    if k >= loop.delay and blocked & NO_COMMAND == 0:
-        loop.acting = k - loop.delay
-    row.place = place
-    row.time, row.stop_reason = k * loop.period, loop.reason
-    last = max(loop.acting, 0)
-    acts = signals.rows[last]
-    age, braking = now - observer.stamps[acts.answered], loop.acting == NEVER or acts.safe_stop
-    row.brake_reason = check_drive(tracker.drives, now, age, braking, state.velocity)
-    for i in range(n):
+        signals.command[k, i] = loop.law.torque[i]
         signals.position[k, i], signals.velocity[k, i] = state.position[i], state.velocity[i]
         signals.measured[k, i], signals.fault[k, i] = state.measured_position[i], state.fault[i]
         signals.measured_velocity[k, i] = state.measured_velocity[i]
-        signals.reference[k, i] = tracker.references[place, 0, i]
-    if row.brake_reason != 0:
-        brake(plant.chain, state, plant.scratch[:n])
+        signals.reference[k, i] = loop.references[place, 0, i]
+    if k >= own.delay and loop.blocked[k] & NO_COMMAND == 0:
+        own.acting = k - own.delay
+    acting = max(own.acting, 0)
+    age = now - loop.stamps[signals.answered[acting]]
+    braking = own.acting == NEVER or signals.safe_stop[acting]
+    reason = check_drive(loop.drives, now, age, braking, state.velocity)
+    signals.brake_reason[k], own.phase = reason, _SENSE
+    if reason != 0:
+        brake(plant)
+    elif own.external:
+        set_torque(plant, signals.command[acting], push)
+        own.phase = _ADVANCE
     else:
-        set_torque(plant.constants, state, signals.command[last], plant.push)
-        if not loop.external:
-            integrate(plant.chain, plant.constants, state, plant.scratch, plant.matrix)
-    loop.phase = _ADVANCE if loop.external and row.brake_reason == 0 else _SENSE
+        drive(plant, signals.command[acting], push)
     for i in range(n):
         signals.torque[k, i] = state.torque[i]
 
@@ -431,15 +383,15 @@ def run_closed_loop(
     ConfigError
         If arm, path, plant or faults are not possible together.
     """
-    samples = scenario.duration / arm.sample_time
-    if not 0.0 < samples < MOST_SAMPLES:
+    steps = scenario.duration / arm.sample_time
+    if not 0.0 < steps < MOST_SAMPLES:
         limit = MOST_SAMPLES * arm.sample_time
         reason = f'must be above 0 and below {limit:g} s, which memory holds'
         raise ConfigError('duration', f'{reason}, got {scenario.duration:g}')
     if compensation not in COMPENSATION:
         reason = f'must be one of {", ".join(COMPENSATION)}, got {compensation!r}'
         raise ConfigError('compensation', reason)
-    count = round(samples) + 1
+    count = round(steps) + 1
     simulator = ArmSimulator(arm, scenario, substeps)
     monitor = SerialSensorMonitor('loop', arm, parameters, gains, observer)
     controller = TrackingController(arm, gains, bandwidth)
@@ -448,27 +400,13 @@ def run_closed_loop(
     follower, start = PathFollower(path, speeds, scales), path.sample(0.0)
     references, tip = np.empty((count, 3, len(arm.joints))), np.empty((count, len(start.tip)))
     start.write(references, tip)
-    plant = simulator.parts
     records = np.zeros(count, answer_type(len(arm.joints)))
     answers = answer_rows(records)
     fed_back = (answers.measured, answers.compensated, answers.position)
     feedback = fed_back[COMPENSATION.index(compensation)]
-    stepped, answering = monitor.parts
-    # A stream of its own: losses must not change noise and faults.
-    losses = np.random.default_rng([scenario.seed, 2])
-    parts = _new_observer(arm, stepped, answering, answers, feedback, losses)
     latency = latency_limits(controller.tolerated_latency)
-    tracker = _Tracker(
-        controller.parts,
-        references,
-        CorrectionLimit(arm, compensation != 'off').parts,
-        TrackerWatchdog(arm, TrackerLimits(latency.single, latency)).parts,
-        DriveWatchdog(arm, latency).parts,
-        *np.zeros((2, len(arm.joints))),
-    )
-    loop = new_record(
+    now = new_record(
         _LOOP,
-        period=arm.sample_time,
         previous=NEVER,
         usable=NEVER,
         stop=True,
@@ -478,41 +416,68 @@ def run_closed_loop(
         external=simulator.engine is not None,
         literal=controller.integrates_measurement,
     )
-    rows = np.zeros(count, _ROW).view(np.recarray)
-    signals = _Signals(rows, *np.zeros((9, count, len(arm.joints))))
-    blocked = transport.blocked(count, arm.sample_time)
+    stepped, answering = monitor.parts
+    stamps = np.rint(arm.sample_time * NANOSECONDS * np.arange(count)).astype(np.int64)
+    times, samples = stamps / NANOSECONDS, np.empty((count, 3, len(arm.joints)))
+    parts, plan = stepped.parts, (stepped.plan.per_block, stepped.plan.blocks)
+    answering = answering._replace(progress=memory(new_record(PROGRESS, next_report=_NO_REPORT)))
+    loop = _Loop(
+        memory(now),
+        simulator.parts,
+        simulator.chances,
+        np.random.default_rng([scenario.seed, 2]),  # losses must not change noise and faults
+        transport.blocked(count, arm.sample_time),
+        pointer(advance, parts, plan, answering, answers, 0, stamps, times, samples),
+        parts,
+        plan,
+        answering,
+        answers,
+        stamps,
+        times,
+        samples,
+        feedback,
+        controller.parts,
+        references,
+        CorrectionLimit(arm, compensation != 'off').parts,
+        TrackerWatchdog(arm, TrackerLimits(latency.single, latency)).parts,
+        DriveWatchdog(arm, latency).parts,
+        _new_signals(count, len(arm.joints)),
+        *np.zeros((2, len(arm.joints))),
+    )
     alarms: list[Alarm] = []
-    shared, now = memory(loop), plain(loop)
-    run = entry(_run, shared, plant, parts, tracker, signals, blocked, 0)
-    k = 0
+    run = entry(_run, loop, 0)
+    k, own = 0, plain(now)
     while k < count:
-        k = run(shared, plant, parts, tracker, signals, blocked, k)
+        k = run(loop, k)
         refuse_failure(simulator.state)
-        phase = now['phase']
+        phase = own['phase']
         if phase == _MONITOR:
-            alarms += _hand_over(monitor, parts, records, loop, simulator.state, k)
-            parts.times[:] = (parts.stamps - stepped.stamp_of(0.0)) / NANOSECONDS
+            alarms += _hand_over(monitor, loop, records, now, k)
+            times[:] = (stamps - stepped.stamp_of(0.0)) / NANOSECONDS
         elif phase == _DECIDE:
-            taken = (one[k : k + 1] for one in (parts.stamps, parts.times, parts.samples))
-            alarms += monitor.go_on(parts.answering, answers, k, *taken)
-            parts = parts._replace(parts=stepped.parts)
-            now['phase'] = _ESTIMATE
+            taken = (one[k : k + 1] for one in (stamps, times, samples))
+            alarms += monitor.go_on(answering, answers, k, *taken)
+            loop = loop._replace(parts=stepped.parts)
+            own['phase'] = _ESTIMATE
         elif phase == _START:
-            first = k - int(loop.offset)  # row of the references: samples in which the path ran
+            first = k - int(now.offset)  # row of the references: samples in which the path ran
             if follower.running:
-                follower.stop(int(parts.stamps[first - 1]))
-            follower.reference(int(parts.stamps[first]), tracker.feedback.copy())
-            follower.ahead(parts.stamps[first:]).write(references[first:], tip[first:])
-            loop.previous, loop.started, loop.phase = k, True, _COMMAND
+                follower.stop(int(stamps[first - 1]))
+            follower.reference(int(stamps[first]), loop.position.copy())
+            follower.ahead(stamps[first:]).write(references[first:], tip[first:])
+            now.previous, now.started, now.phase = k, True, _COMMAND
         elif phase == _ADVANCE:
             simulator.advance()
-            now['phase'] = _SENSE
+            own['phase'] = _SENSE
+    signals = loop.signals
     # Where a measurement was lost, the answer before stands.
-    last = np.maximum.accumulate(np.where(rows.lost, 0, np.arange(count)))
-    records[rows.lost] = records[last[rows.lost]]
+    last = np.maximum.accumulate(np.where(signals.lost, 0, np.arange(count)))
+    records[signals.lost] = records[last[signals.lost]]
+    written = signals._asdict()
+    del written['answered']
     return Run(
-        **{name: rows[name] for name in rows.dtype.names if name != 'answered'},
-        **dict(zip(_Signals._fields[1:], signals[1:])),
+        **written,
+        time=arm.sample_time * np.arange(float(count)),
         compensated=answers.compensated,
         estimate=answers.position,
         estimated_velocity=answers.velocity,
@@ -529,51 +494,18 @@ def run_closed_loop(
 
 
 def _hand_over(
-    monitor: SerialSensorMonitor,
-    observer: _Observer,
-    records: np.ndarray,
-    loop: np.record,
-    state: PlantState,
-    k: int,
+    monitor: SerialSensorMonitor, loop: _Loop, records: np.ndarray, own: np.record, k: int
 ) -> list[Alarm]:
     """Let the monitor itself take a sample, as the node does; returns alarm events."""
-    before, stamps = int(loop.usable), observer.stamps
+    before, stamps, state = int(own.usable), loop.stamps, loop.plant.state
     if before != NEVER:
         last = records[before : before + 1].view(np.recarray)
-        monitor.went_on(int(stamps[before]), observer.samples[before, 0], last)
+        monitor.went_on(int(stamps[before]), loop.samples[before, 0], last)
     measured = state.measured_position, state.measured_velocity, state.effort
     answers = monitor.take_many(stamps[k : k + 1], *(np.array([one]) for one in measured))
     for name in ('answered', 'has_fault', 'restarted', 'inconsistent', 'state', 'fault'):
         records[name][k] = getattr(answers, name)[0]
     if monitor.last_used == stamps[k]:
-        loop.usable = k
-    loop.phase = _ESTIMATE
+        own.usable = k
+    own.phase = _ESTIMATE
     return [event for _, event in answers.events]
-
-
-def _new_observer(
-    arm: SerialArm,
-    stepped: SteppedMonitor,
-    answering: Answering,
-    answers: AnswerRows,
-    feedback: FloatArray,
-    losses: np.random.Generator,
-) -> _Observer:
-    count, n = feedback.shape
-    stamps = np.rint(arm.sample_time * NANOSECONDS * np.arange(count)).astype(np.int64)
-    times, samples = stamps / NANOSECONDS, np.empty((count, 3, n))
-    parts, plan = stepped.parts, (stepped.plan.per_block, stepped.plan.blocks)
-    answering = answering._replace(progress=memory(new_record(PROGRESS, next_report=_NO_REPORT)))
-    given = parts, plan, answering, answers, 0, stamps, times, samples
-    return _Observer(
-        pointer(advance, *given),
-        parts,
-        plan,
-        stamps,
-        times,
-        samples,
-        answering,
-        answers,
-        feedback,
-        losses,
-    )

@@ -280,6 +280,7 @@ def test_given_another_number_of_joints_when_run_then_the_same_compiled_code_run
         simulator = ArmSimulator(arm, sliding(arm, duration=0.1))
         simulator.read()
         simulator.step(np.zeros(joints))
+        simulator.hold()
     assert called[1] == called[3] == called[4] and len(called[1]) > 5
 
 

@@ -35,7 +35,7 @@ def joint_frames(chain: Chain, q: FloatArray, rotations: FloatArray, origins: Fl
             turned, way = (0.0, q[i]) if chain.prismatic[i] else (q[i], 0.0)
         c, s = np.cos(turned), np.sin(turned)
         for row in range(3):
-            origins[i, row] = origins[i - 1, row] if i > 0 else 0.0
+            origins[i, row] = 0.0
             write(rotations[i], row, 0, (0.0, 0.0, 0.0))
         for k in range(3):
             # Row k of R_i0 Rz(q_i).
@@ -45,6 +45,8 @@ def joint_frames(chain: Chain, q: FloatArray, rotations: FloatArray, origins: Fl
                 outer = rotations[i - 1, row, k] if i > 0 else (1.0 if row == k else 0.0)
                 write(rotations[i], row, 0, plus(read(rotations[i], row, 0), (x, y, z), outer))
                 origins[i, row] += outer * (place[k] + way * z)
+        if i > 0:
+            write(origins, i, 0, plus(read(origins, i, 0), read(origins, i - 1, 0)))
 
 
 @njit
