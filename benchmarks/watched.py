@@ -7,7 +7,7 @@ import numpy as np
 from lpv.core.monitoring.answers import answer_type
 from lpv.core.monitoring.compensation import answer_rows
 from lpv.core.monitoring.parameters import DiagnosisParameters
-from lpv.core.monitoring.stepped_monitor import SteppedMonitor, Told
+from lpv.core.monitoring.stepped_monitor import SteppedMonitor
 from lpv.core.serial_arm.diagnosis.alarms import SensorState
 from lpv.core.serial_arm.sensor_map import map_rows, mixing
 
@@ -31,8 +31,9 @@ class Watched(SteppedMonitor):
         readings, n = np.array(samples, order='C'), self.joints
         readings[:, :2] = map_rows(mixing(self.arm.joints_to_sensors()), readings[:, :2])
         rows = answer_rows(np.zeros(len(stamps) + 1, answer_type(n)))
-        told = Told(lambda *_: None, lambda _, stamp: self.know(stamp))
-        self.run(np.ascontiguousarray(stamps, np.int64), readings, rows, 0, told)
+        for *_, stamp in self.run(np.ascontiguousarray(stamps, np.int64), readings, rows, 0):
+            if stamp is not None:
+                self.know(stamp)
 
     def estimate(self) -> Known:
         """What is known now."""

@@ -113,11 +113,13 @@ class TrackerLimits:
 
     silence: float = UNKNOWN_LOOP.single  # between estimates [s]
     latency: LatencyLimits = UNKNOWN_LOOP
-    unusable: float = 0.05  # without a usable measurement [s]
-    overspeed: float = 0.02  # above the allowed speed [s]
     speed: float = 0.7  # allowed share of the velocity limit
     tracking_error: float = 0.5  # of a joint [rad]
-    error_time: float = unusable  # with a larger one [s]
+
+
+LONGEST_UNUSABLE, LONGEST_OVERSPEED = round(0.05 * NANOSECONDS), round(0.02 * NANOSECONDS)
+"""Time without a usable measurement, after which the last estimate is not trustworthy, or with a
+larger tracking error, that the tracker tolerates; time with a joint that is too fast [ns]."""
 
 
 _SHORTEST_STOP = round(2.0 * MAX_GAP * NANOSECONDS)
@@ -134,9 +136,6 @@ that is released from brakes leaps by as much, and the more the further its refe
 TRACKER_WATCHDOG = record_type(
     ('silence', 'i8'),  # limits, see `TrackerLimits` [ns]
     ('latency', 'i8'),
-    ('unusable', 'i8'),
-    ('overspeed', 'i8'),
-    ('error_time', 'i8'),
     ('mean_latency', 'f8'),  # [ns]
     ('tracking_error', 'f8'),  # [rad]
     ('share', 'f8'),  # of the newest latency in the mean
@@ -169,7 +168,6 @@ class TrackerWatchdogParts(NamedTuple):
 
 DRIVE_WATCHDOG = record_type(
     ('command_age', 'i8'),  # limits, see `DriveWatchdog` [ns]
-    ('overspeed', 'i8'),
     ('mean_latency', 'f8'),  # [ns]
     ('share', 'f8'),  # of the newest age in the mean
     ('mean_age', 'f8'),  # [ns]
@@ -221,7 +219,7 @@ def check_estimate(
         return own.latched
     if not trustworthy:
         return _NOT_TRUSTWORTHY
-    if own.usable == NEVER or stamp - own.usable > own.unusable:
+    if own.usable == NEVER or stamp - own.usable > LONGEST_UNUSABLE:
         return _UNUSABLE
     if _is_late(own, stamp, latency):
         return _LATENCY
@@ -247,7 +245,7 @@ def _check_speed(
         if velocity[i] >= -limit and measured_velocity[i] >= -limit:
             since[0, i] = stamp
         oldest = min(since[0, i], since[1, i])
-        if oldest == NEVER or stamp - oldest > dog.own[0].overspeed:
+        if oldest == NEVER or stamp - oldest > LONGEST_OVERSPEED:
             dog.own[0].latched = _OVERSPEED
 
 
@@ -291,7 +289,7 @@ def check_motion(
         led = max(led, abs(reference[i] - dog.reference[i]) / dog.step[i])
     if error <= own.tracking_error:
         own.in_reach = stamp
-    elif stamp - own.in_reach > own.error_time:
+    elif stamp - own.in_reach > LONGEST_UNUSABLE:
         own.latched = _ERROR
         return _ERROR
     if moved > 1.0:
@@ -326,7 +324,7 @@ def check_drive(
     own.mean_age += own.share * (min(age, own.command_age) - own.mean_age)
     if not _is_too_fast(velocity, dog.velocity_limit):
         own.in_speed = now
-    elif own.in_speed == NEVER or now - own.in_speed > own.overspeed:
+    elif own.in_speed == NEVER or now - own.in_speed > LONGEST_OVERSPEED:
         own.latched = _BRAKE_OVERSPEED
     if own.latched != _NONE:
         return own.latched
@@ -377,9 +375,6 @@ class TrackerWatchdog(_Watchdog):
             silence=_nanoseconds(limits.silence),
             latency=_nanoseconds(limits.latency.single),
             mean_latency=_nanoseconds(limits.latency.mean),
-            unusable=_nanoseconds(limits.unusable),
-            overspeed=_nanoseconds(limits.overspeed),
-            error_time=_nanoseconds(limits.error_time),
             tracking_error=limits.tracking_error,
             is_read=True,
             share=_share(arm),
@@ -426,7 +421,6 @@ class DriveWatchdog(_Watchdog):
         own = new_record(
             DRIVE_WATCHDOG,
             command_age=_nanoseconds(latency.single),
-            overspeed=_nanoseconds(TrackerLimits.overspeed),
             mean_latency=_nanoseconds(latency.mean),
             share=_share(arm),
             in_speed=NEVER,

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass, field, fields
 
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.serial_arm.diagnosis.alarms import (
@@ -26,30 +27,43 @@ _KINDS = {
 }
 _CERTAIN = 0.9995
 """Confidence from which on only a lower limit is given: with one digit, it is 100.0 %."""
-COUNTER_TEXT = {
-    'duplicates': 'measurements with the stamp of the one before, ignored',
-    'out_of_order': 'measurements older than the one before, ignored',
-    'restarts': 'restarts: the clock was set, or no measurement came for more than 1 s',
-    'refused_stamps': 'measurements whose stamp fits no stream, ignored',
-    'not_finite': 'measurements with NaN or infinite values',
-    'implausible': 'measurements with values that this arm cannot reach',
-    'gaps': 'interruptions after which the balances begin anew',
-    'repeated': 'measurements that the driver repeated while the arm moved',
-    'unread': 'measurements of zeros alone, or of no number, as of a driver that reads no hardware',
-    'without_effort': 'measurements without efforts that had been there before',
-}
-"""Fields of `lpv.core.monitoring.serial_monitor.SerialCounters`, what they count."""
 UNUSABLE = 'no measurement can be used'
 ALMOST_ALL = (0.01, 0.99)
 """Quantiles of positions for `other_unit`: single readings may be anything."""
 
 
-def count_texts(counters: object) -> list[str]:
+def _count_of(text: str) -> int:
+    """A field that counts what a text says."""
+    return field(default=0, metadata={'text': text})
+
+
+@dataclass
+class SampleCounters:
+    """How many samples were not usable as they came, with words for an operator."""
+
+    duplicates: int = _count_of('measurements with the stamp of the one before, ignored')
+    out_of_order: int = _count_of('measurements older than the one before, ignored')
+    restarts: int = _count_of(
+        'restarts: the clock was set, or no measurement came for more than 1 s'
+    )
+    refused_stamps: int = _count_of('measurements whose stamp fits no stream, ignored')
+    not_finite: int = _count_of('measurements with NaN or infinite values')
+    implausible: int = _count_of('measurements with values that this arm cannot reach')
+    gaps: int = _count_of('interruptions after which the balances begin anew')
+    unread: int = _count_of(
+        'measurements of zeros alone, or of no number, as of a driver that reads no hardware'
+    )
+    without_effort: int = _count_of('measurements without efforts that had been there before')
+    repeated: int = _count_of('measurements that the driver repeated while the arm moved')
+
+
+def count_texts(counters: SampleCounters) -> list[str]:
     """What was wrong with samples, and how often."""
-    return [f'{count} {COUNTER_TEXT[name]}' for name, count in vars(counters).items() if count]
+    counted = ((getattr(counters, one.name), one.metadata['text']) for one in fields(counters))
+    return [f'{count} {text}' for count, text in counted if count]
 
 
-def unusable_text(counters: object) -> str:
+def unusable_text(counters: SampleCounters) -> str:
     """That no measurement can be used, and what was wrong with samples; empty without counts."""
     counts = '; '.join(count_texts(counters))
     return f'{UNUSABLE}: {counts}' if counts else ''

@@ -4,14 +4,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from lpv.core.control.watchdog import TrackerLimits
 from lpv.core.monitoring.compensation import answer_rows
 from lpv.core.serial_arm.diagnosis.alarms import Alarm
 from lpv.core.support.records import record_type
-from lpv.core.support.timestamps import NANOSECONDS
-
-LONGEST_STALE = round(TrackerLimits.unusable * NANOSECONDS)
-"""Time without a usable measurement after which the last estimate is not trustworthy [ns]."""
 
 
 def answer_type(joints: int) -> np.dtype:

@@ -7,14 +7,14 @@ not depend on how measurements are divided.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from lpv.core.control.watchdog import LONGEST_UNUSABLE
 from lpv.core.monitoring import message_fields
-from lpv.core.monitoring.alarm_text import other_unit, unusable_text
-from lpv.core.monitoring.answers import LONGEST_STALE, Answer, Answers, answer_type
+from lpv.core.monitoring.alarm_text import SampleCounters, other_unit, unusable_text
+from lpv.core.monitoring.answers import Answer, Answers, answer_type
 from lpv.core.monitoring.compensation import AnswerRows
 from lpv.core.monitoring.idle_efforts import IdleSignal
 from lpv.core.monitoring.joint_order import JointOrder
@@ -30,7 +30,7 @@ from lpv.core.monitoring.plausibility import (
 from lpv.core.monitoring.sample_loop import Answering
 from lpv.core.monitoring.serial_alarms import AlarmConverter
 from lpv.core.monitoring.stamp_gate import StampGate
-from lpv.core.monitoring.stepped_monitor import SteppedMonitor, Told
+from lpv.core.monitoring.stepped_monitor import SteppedMonitor
 from lpv.core.serial_arm.chain import FloatArray, IntArray
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.serial_arm.diagnosis.alarms import Alarm, Mode, SensorState
@@ -75,22 +75,6 @@ _NO_EFFORT = f'no efforts: {_JUMPS_ALONE}'
 _NO_WEIGHT = f'efforts leave out the weight: {_JUMPS_ALONE}'
 
 
-@dataclass
-class SerialCounters:
-    """How many samples were not usable as they came."""
-
-    duplicates: int = 0  # with the stamp of the one before
-    out_of_order: int = 0  # with an older stamp
-    restarts: int = 0  # the clock was set, or samples were missing for more than 1 s
-    refused_stamps: int = 0  # that fit no stream
-    not_finite: int = 0  # NaN or infinite readings, or rates of a sensor of their own
-    implausible: int = 0  # values that no arm has
-    gaps: int = 0  # intervals after which the balances restart
-    unread: int = 0  # without readings, as of a driver that has not read its hardware yet
-    without_effort: int = 0  # efforts were missing that had been there before
-    repeated: int = 0  # by a driver that had nothing new of an arm in motion
-
-
 class SerialSensorMonitor:
     """Diagnosis of the position sensors of an arm.
 
@@ -123,7 +107,7 @@ class SerialSensorMonitor:
     ----------
     rejected : int
         Messages that did not fit the arm.
-    counters : SerialCounters
+    counters : SampleCounters
         Samples that were not usable as they came.
     method : str
         How faults are found.
@@ -145,7 +129,7 @@ class SerialSensorMonitor:
         max_gap: float = MAX_GAP,
     ) -> None:
         self.name, self.arm, self.rejected, self.method = name, arm, 0, METHOD
-        self.counters = SerialCounters()
+        self.counters = SampleCounters()
         self._joints = len(arm.joints)
         self.answer_type = answer_type(self._joints)
         self._call = Entries()
@@ -422,27 +406,24 @@ class SerialSensorMonitor:
         """
         if not self._is_new(stamp):
             return False
-        if self._repeats.own['stalled'][0]:
-            self.counters.repeated += 1
-            self._answer_stale(stamp, row)
-            return False
-        if unread:
-            self.counters.unread += 1
-            self._answer_stale(stamp, row)
-            return False
-        if not is_plausible(sample, self._independent, self._endless, self._reading):
-            needed = np.concatenate([sample[0], sample[1, self._independent]])
-            finite = bool(np.isfinite(needed).all())
-            self.counters.implausible += finite
-            self.counters.not_finite += not finite
-            self._answer_stale(stamp, row)
-            return False
         blind = not np.isfinite(sample[2]).all()
-        if blind and not self._blind and self._stamp != NEVER:
+        wrong = ''
+        if self._repeats.own['stalled'][0]:
+            wrong = 'repeated'
+        elif unread:
+            wrong = 'unread'
+        elif not is_plausible(sample, self._independent, self._endless, self._reading):
+            needed = np.concatenate([sample[0], sample[1, self._independent]])
+            wrong = 'implausible' if np.isfinite(needed).all() else 'not_finite'
+        elif blind and not self._blind and self._stamp != NEVER:
             self.counters.without_effort += 1
-            if stamp - self._stamp <= LONGEST_STALE:
+            if stamp - self._stamp <= LONGEST_UNUSABLE:
                 self._answer_stale(stamp, row)
                 return False
+        if wrong:
+            setattr(self.counters, wrong, getattr(self.counters, wrong) + 1)
+            self._answer_stale(stamp, row)
+            return False
         if blind is not self._blind:
             self._blind = self._monitor.blind = blind
             self._monitor.begin_again()
@@ -466,7 +447,7 @@ class SerialSensorMonitor:
         if not missing.any() and not self._is_missing:
             return
         self._missing_since[missing & (self._missing_since == NEVER)] = stamp
-        long = missing & (stamp - self._missing_since > LONGEST_STALE)
+        long = missing & (stamp - self._missing_since > LONGEST_UNUSABLE)
         events = self._alarms.dropouts(long, self._missing_since, stamp)
         answers.events += [(row, event) for event in events]
         self._missing_since[~missing] = NEVER
@@ -496,16 +477,14 @@ class SerialSensorMonitor:
         if self._blind:
             samples[:, 2] = 0.0
 
-        def report(first: int, until: int) -> None:
-            self._report_due(answers, first, until)
-
-        def known(row: int, stamp: int) -> None:
-            events = self._note(stamp)
-            answers.events += [(row, event) for event in events]
-            if events:
-                self._monitor.progress['next_report'] = NEVER
-
-        self._monitor.run(stamps, samples, answers.rows, begin, Told(report, known))
+        for first, until, stamp in self._monitor.run(stamps, samples, answers.rows, begin):
+            if stamp is None:
+                self._report_due(answers, first, until)
+            else:
+                events = self._note(stamp)
+                answers.events += [(first, event) for event in events]
+                if events:
+                    self._monitor.progress['next_report'] = NEVER
         self._newest = answers.plain[end - 1 : end].copy()
 
     @property
@@ -515,14 +494,8 @@ class SerialSensorMonitor:
 
     def go_on(self, answering: Answering, rows: AnswerRows, row: int, *taken: Any) -> list[Alarm]:
         """As `SteppedMonitor.go_on`, for those who call `advance` with `parts`; alarm events."""
-        events: list[Alarm] = []
-
-        def known(_: int, stamp: int) -> None:
-            events.extend(self._note(stamp))
-
-        told = Told(lambda first, until: None, known)
-        self._monitor.go_on(answering, rows, row, told, *taken)
-        return events
+        known = self._monitor.go_on(answering, rows, row, *taken)
+        return [event for *_, stamp in known if stamp is not None for event in self._note(stamp)]
 
     @property
     def _last(self) -> np.recarray:
@@ -567,7 +540,7 @@ class SerialSensorMonitor:
         row.restarted, row.answered = restarted, True
         row.state.mode = Mode.STALE if row.has_fault[0] else Mode.NO_ESTIMATE
         row.fault.state = SensorState.STALE
-        if not row.has_fault[0] or abs(stamp - self._stamp) > LONGEST_STALE:
+        if not row.has_fault[0] or abs(stamp - self._stamp) > LONGEST_UNUSABLE:
             row.state.trustworthy = False
 
     def _is_due(self, stamp: int) -> bool:

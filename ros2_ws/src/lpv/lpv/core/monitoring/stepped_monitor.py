@@ -1,7 +1,6 @@
 """The monitor of an arm for samples by the thousand, each of which is answered."""
 
-from collections.abc import Callable
-from typing import NamedTuple
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -32,13 +31,6 @@ from lpv.core.support.timestamps import NANOSECONDS, NEVER
 from lpv.core.uio.unknown_input_observer import UnknownInputObserver, no_observer
 
 _OK, _ERROR, _NOT_DIAGNOSABLE = SensorState.OK, SensorState.ERROR, SensorState.NOT_DIAGNOSABLE
-
-
-class Told(NamedTuple):
-    """Who is told between two samples."""
-
-    report: Callable[[int, int], None]  # rows that have been answered, and reports may be due
-    known: Callable[[int, int], None]  # row and stamp [ns] from which on more is known
 
 
 class SteppedMonitor(SerialMonitor):
@@ -126,9 +118,9 @@ class SteppedMonitor(SerialMonitor):
         return super().uses_balances and not self.blind
 
     def run(
-        self, stamps: IntArray, samples: FloatArray, rows: AnswerRows, first: int, told: Told
-    ) -> None:
-        """Take samples, all of them in order, and answer them.
+        self, stamps: IntArray, samples: FloatArray, rows: AnswerRows, first: int
+    ) -> Iterator[tuple[int, int, int | None]]:
+        """Take samples, all of them in order, and answer them; yields as `go_on` does.
 
         Parameters
         ----------
@@ -138,8 +130,6 @@ class SteppedMonitor(SerialMonitor):
             Readings of the position sensors, their rates, efforts; all finite.
         rows : AnswerRows
             What receives the answers, from row ``first`` on.
-        told : Told
-            Who is told.
         """
         if self._first is None:
             self._first = int(stamps[0])
@@ -157,7 +147,7 @@ class SteppedMonitor(SerialMonitor):
             self.progress['taken'] = self.progress['answered'] = self.progress['reported'] = 0
             part = slice(begin, end)
             taken = stamps[part], times[part], values[part]
-            self.go_on(self.answering, rows, first + begin, told, *taken)
+            yield from self.go_on(self.answering, rows, first + begin, *taken)
         self._last_time = float(times[-1])
 
     def go_on(
@@ -165,21 +155,24 @@ class SteppedMonitor(SerialMonitor):
         answering: Answering,
         rows: AnswerRows,
         first: int,
-        told: Told,
         stamps: IntArray,
         times: FloatArray,
         samples: FloatArray,
-    ) -> None:
-        """Take samples, decide on them and answer them, from where `advance` left."""
+    ) -> Iterator[tuple[int, int, int | None]]:
+        """Take samples, decide on them and answer them, from where `advance` left.
+
+        Yields rows, the first and the one after the last: of answers whose reports may be due; or,
+        with its stamp [ns], of the sample from which on more is known.
+        """
         progress, plan = plain(answering.progress[0]), (self.plan.per_block, self.plan.blocks)
         fixed = plan, answering, rows, first, stamps, times, samples
         while self._call(advance, self._parts, *fixed) or progress['phase'] != SAMPLE:
             now, row = float(self._state['now']), first + int(progress['taken']) - 1
             if progress['phase'] == REPORT:
-                told.report(first + int(progress['reported']), first + int(progress['answered']))
+                yield first + int(progress['reported']), first + int(progress['answered']), None
                 progress['reported'] = progress['answered']
             elif progress['phase'] == KNOW:
-                told.known(row, int(progress['stamp']))
+                yield row, row + 1, int(progress['stamp'])
                 progress['phase'] = SAMPLE
             else:
                 if progress['phase'] == JUMP:

@@ -1,26 +1,29 @@
 """Arm files of the form of two-link arms, of versions before there was one kind of arm."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
-from lpv.core.serial_arm.description import SerialArm
+from lpv.core.serial_arm.description import LpvRegion, SerialArm
 from lpv.core.serial_arm.two_links import ArmParameters, Link, two_link_arm
 from lpv.core.support.config import Section
 from lpv.core.support.entries import entry, read_entries
 from lpv.core.support.errors import each
 
 
+def _moved(name: str, at: str) -> Any:
+    """A field of `LpvRegion`, at another place and without a default."""
+    return field(metadata={**LpvRegion.__dataclass_fields__[name].metadata, 'at': at})
+
+
 @dataclass(frozen=True, kw_only=True)
 class _File(ArmParameters):
     """What such a file states otherwise."""
 
-    orientation: str = entry('text', choices=('upright', 'hanging'), at='region.orientation')
-    cos_min: tuple = entry('vector', 2, low=0.01, high=0.999, at='region.cos_min')
-    disturbance_direction: tuple = entry(
-        'vector', 2, low=-1e3, high=1e3, at='disturbance.direction'
-    )
-    disturbance_mean: float = entry('number', low=-1e4, high=1e4, at='disturbance.mean')
-    disturbance_variance: float = entry('number', low=0.0, high=1e8, at='disturbance.variance')
+    orientation: str = _moved('orientation', 'region.orientation')
+    cos_min: tuple = _moved('cos_min', 'region.cos_min')
+    disturbance_direction: tuple = _moved('disturbance_direction', 'disturbance.direction')
+    disturbance_mean: float = _moved('disturbance_mean', 'disturbance.mean')
+    disturbance_variance: float = _moved('disturbance_variance', 'disturbance.variance')
     velocity_error: float = entry(
         'number', default=0.0, low=0.0, high=0.5, at='sensors.velocity_error'
     )
@@ -30,25 +33,7 @@ class _File(ArmParameters):
 
 
 def parse_two_links(data: dict[str, Any], source: str = 'arm') -> SerialArm:
-    """Build an arm from the mapping of an arm file of the form before there was one kind of arm.
-
-    Parameters
-    ----------
-    data : dict
-        Content of the file.
-    source : str, optional
-        Name for error messages.
-
-    Returns
-    -------
-    SerialArm
-        The validated arm.
-
-    Raises
-    ------
-    ConfigError
-        If a field is missing, unknown, of the wrong type or out of range; it names the field.
-    """
+    """As `lpv.core.serial_arm.arm_file.parse_arm`, of a file of that form."""
     top = Section(data, source)
     file = read_entries(_File, top, links=lambda: _links(top))
     # Rotor 2 is carried by link 1: R = Ir*[[gr^2+1, -gr], [-gr, gr^2]].
