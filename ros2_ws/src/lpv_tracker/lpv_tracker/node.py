@@ -6,7 +6,13 @@ import numpy as np
 from rclpy.publisher import Publisher
 from std_srvs.srv import Trigger
 
-from lpv.core.control.estimate_check import ROWS, CorrectionLimit, ValueFault, check_values
+from lpv.core.control.estimate_check import (
+    IMPOSSIBLE,
+    NOT_FINITE,
+    ROWS,
+    CorrectionLimit,
+    check_values,
+)
 from lpv.core.control.path_follower import APPROACH_SPEED, PathFollower, approach_speeds
 from lpv.core.control.tracking import BANDWIDTH, COMPENSATION, FEEDBACK_FIELDS, TrackingController
 from lpv.core.control.watchdog import (
@@ -66,8 +72,8 @@ TUNABLE = (
           'or as estimated (always)', 'confirmed', choices=COMPENSATION),
 )  # fmt: skip
 _REFUSALS = {
-    ValueFault.NOT_FINITE: 'estimate with values that are not finite',
-    ValueFault.IMPOSSIBLE: 'estimate with values that no arm has',
+    NOT_FINITE: 'estimate with values that are not finite',
+    IMPOSSIBLE: 'estimate with values that no arm has',
 }
 _OTHER_CLOCK = round(2.0 * PATIENCE * NANOSECONDS)
 """Stamps that differ from this machine's time by more are of another clock [ns]."""
@@ -267,7 +273,7 @@ class TrackerNode(ManagedNode):
         self._bytes[:] = b''.join(fields)
         wrong = check_values(self._estimate)
         if wrong:
-            self._refusals.add(_REFUSALS[ValueFault(wrong)])
+            self._refusals.add(_REFUSALS[wrong])
         elif stamp < 0:
             self._refusals.add('estimate with a negative stamp')
         elif not (self.lockstep or self._stamps.accept(stamp)):

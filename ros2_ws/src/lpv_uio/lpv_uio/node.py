@@ -342,11 +342,8 @@ class UioNode(ManagedNode):
         return 'observer and alarms restart'
 
     def _diagnosis_parameters(self, changed: dict[str, Any]) -> DiagnosisParameters:
-        values = {}
-        for spec in TUNABLE:
-            value = changed.get(spec.name, self.get_parameter(spec.name).value)
-            values[spec.name.split('.')[1]] = value
-        return DiagnosisParameters(**values)
+        values = {one.name: self.get_parameter(one.name).value for one in TUNABLE} | changed
+        return DiagnosisParameters(**{k.partition('.')[2]: v for k, v in values.items()})
 
     def _retune(self, parameters: list[Parameter]) -> SetParametersResult:
         changed = {p.name: p.value for p in parameters if p.name.startswith('diagnosis.')}

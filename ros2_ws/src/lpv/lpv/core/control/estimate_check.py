@@ -6,7 +6,6 @@ faded in.
 """
 
 import math
-from enum import IntEnum
 from typing import NamedTuple
 
 import numpy as np
@@ -25,27 +24,20 @@ _LARGEST = 1e6
 rates above the velocity limit are judged by the watchdog."""
 
 
-class ValueFault(IntEnum):
-    """What is wrong with the values of an estimate."""
-
-    NONE = 0
-    NOT_FINITE = 1
-    IMPOSSIBLE = 2
-
-
-_NONE, _NOT_FINITE, _IMPOSSIBLE = (int(fault) for fault in ValueFault)
+NOT_FINITE, IMPOSSIBLE = 1, 2
+"""What is wrong with the values of an estimate, or 0."""
 
 
 @njit
 def check_values(values: np.ndarray) -> int:
-    """`ValueFault` of positions and rates, shape (5, n), in the order of `ROWS`."""
-    found = _NONE
+    """What is wrong with positions and rates, shape (5, n), in the order of `ROWS`; 0: nothing."""
+    found = 0
     for k in range(values.shape[0]):
         for i in range(values.shape[1]):
             if not math.isfinite(values[k, i]):
-                return _NOT_FINITE
+                return NOT_FINITE
             if abs(values[k, i]) > _LARGEST:
-                found = _IMPOSSIBLE
+                found = IMPOSSIBLE
     return found
 
 

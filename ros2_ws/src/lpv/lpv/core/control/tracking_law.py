@@ -51,18 +51,10 @@ def track(
 ) -> None:
     """Write one command, the torques [N m], into ``parts.torque``.
 
-    Parameters
-    ----------
-    parts : LawParts
-        The law.
-    reference : ndarray, shape (3, n)
-        Positions, rates and accelerations [rad], [rad/s], [rad/s2].
-    position, velocity : ndarray, shape (n,)
-        State to feed back, joint coordinates, contiguous [rad], [rad/s].
-    integrated : ndarray, shape (n,)
-        Position that eps integrates, contiguous [rad].
-    interval : float
-        Time since the previous command [s]; 0 at the first.
+    ``reference``, shape (3, n), has positions, rates and accelerations [rad], [rad/s], [rad/s2].
+    The others are contiguous, shape (n,), in joint coordinates: ``position`` and ``velocity``, the
+    state to feed back [rad], [rad/s], and ``integrated``, the position that eps integrates [rad].
+    ``interval`` is the time since the previous command [s]; 0 at the first.
     """
     chain, n = parts.chain, position.shape[0]
     torque, x, a = parts.torque, parts.x, parts.acceleration

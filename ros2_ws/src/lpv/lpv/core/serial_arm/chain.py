@@ -129,40 +129,20 @@ def axis_frame(axis: FloatArray) -> FloatArray:
 
 
 def body_parameters(mass: float, center: npt.ArrayLike, inertia: npt.ArrayLike) -> FloatArray:
-    """Inertial parameters of a body about a frame's origin.
+    """Inertial parameters of a body about a frame's origin, as a row of `Chain.inertial`.
 
-    Parameters
-    ----------
-    mass : float
-        [kg].
-    center : array_like, shape (3,)
-        Centre of mass [m].
-    inertia : array_like, shape (3, 3)
-        About the centre of mass, along the frame's axes [kg m2].
-
-    Returns
-    -------
-    ndarray, shape (10,)
-        As a row of `Chain.inertial`.
+    ``mass`` is in [kg], ``center`` of mass, shape (3,), in [m]; ``inertia``, shape (3, 3), is about
+    it, along the frame's axes [kg m2].
     """
     own = np.array([mass, 0.0, 0.0, 0.0, *np.asarray(inertia, float)[_ENTRIES]])
     return moved_body(own, np.eye(3), np.asarray(center, float))
 
 
 def moved_body(body: FloatArray, rotation: FloatArray, translation: FloatArray) -> FloatArray:
-    """Inertial parameters of a body in the frame that its own frame is placed in.
+    """Inertial parameters of a body, shape (10,), in the frame that its own frame is placed in.
 
-    Parameters
-    ----------
-    body : ndarray, shape (10,)
-        In its own frame.
-    rotation, translation : ndarray, shapes (3, 3) and (3,)
-        Placement of that frame in the other one.
-
-    Returns
-    -------
-    ndarray, shape (10,)
-        The same body, in the other frame.
+    ``body``, shape (10,), has them in its own frame; ``rotation`` and ``translation``, shapes
+    (3, 3) and (3,), place that in the other one [m].
     """
     mass, p = body[MASS], translation
     moment = rotation @ body[MX:IXX]

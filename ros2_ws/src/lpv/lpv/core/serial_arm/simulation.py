@@ -29,31 +29,12 @@ def plant_step(
     matrix: FloatArray,
     push: FloatArray | None = None,
 ) -> bool:
-    """Advance the arm by Runge-Kutta steps with held torques.
+    """Advance the arm by a number of Runge-Kutta steps with held torques.
 
-    Parameters
-    ----------
-    chain : Chain
-        The true arm.
-    state : ndarray, shape (2, n)
-        Positions and rates, changed [rad], [rad/s].
-    torque : ndarray, shape (n,)
-        Of drives and from outside [N m].
-    step : float
-        Of integration [s].
-    count : int
-        Number of steps.
-    scratch : ndarray, shape (11 n, columns of `workspace`)
-        Scratch: the workspace in the first n rows, vectors behind.
-    matrix : ndarray, shape (n, n)
-        Scratch.
-    push : ndarray, shape (n,), optional
-        Accelerations by a disturbance, held, too [rad/s2].
-
-    Returns
-    -------
-    bool
-        False if the mass matrix was not positive definite.
+    ``state``, shape (2, n), are positions and rates, changed [rad], [rad/s]; ``torque`` is of
+    drives and from outside [N m], ``push`` has accelerations by a disturbance [rad/s2], both of
+    shape (n,); ``step`` is of integration [s].  ``scratch`` is of `plant_scratch`, ``matrix`` of
+    shape (n, n).  False if the mass matrix was not positive definite.
     """
     n = torque.shape[0]
     work = scratch[:n]

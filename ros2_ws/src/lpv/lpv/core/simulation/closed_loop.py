@@ -503,8 +503,7 @@ def _hand_over(
         monitor.went_on(int(stamps[before]), loop.samples[before, 0], last)
     measured = state.measured_position, state.measured_velocity, state.effort
     answers = monitor.take_many(stamps[k : k + 1], *(np.array([one]) for one in measured))
-    for name in ('answered', 'has_fault', 'restarted', 'inconsistent', 'state', 'fault'):
-        records[name][k] = getattr(answers, name)[0]
+    records[k] = answers.plain[0]
     if monitor.last_used == stamps[k]:
         own.usable = k
     own.phase = _ESTIMATE

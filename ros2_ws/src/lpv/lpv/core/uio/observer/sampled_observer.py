@@ -152,22 +152,12 @@ def observe(
     not hold it against gravity is held by something else: nothing is learnt from them; an arm that
     was stopped by a torque that is not measured (brakes) goes on from the angles it had then.
 
-    Parameters
-    ----------
-    params, state : numpy.record
-        `observer_constants`, and the estimate with its state, of type `OBSERVER_STATE`.
-    stamp : int
-        Time of measurement [ns].
-    position, velocity : ndarray, shape (2,)
-        Joint positions [rad] and rates [rad/s] as in ``sensor_msgs/JointState``, in the order of
-        the arm file.
-    effort : ndarray, shape (2,)
-        Joint torques that acted over the interval that ends at ``stamp`` [N m].
+    ``params`` are `observer_constants`, ``state`` of type `OBSERVER_STATE` has the estimate.
+    ``position`` and ``velocity``, shape (2,), are those of the joints as in
+    ``sensor_msgs/JointState``, in the order of the arm file [rad], [rad/s], ``stamp`` is their time
+    [ns]; ``effort``, shape (2,), are joint torques over the interval that ends then [N m].
 
-    Returns
-    -------
-    bool
-        False if there is no finite estimate; the observer then restarts.
+    False if there is no finite estimate; the observer then restarts.
     """
     interval = 0.0 if state.stamp == NEVER else (stamp - state.stamp) / NANOSECONDS
     y, joints = state.y_new, params.joints
