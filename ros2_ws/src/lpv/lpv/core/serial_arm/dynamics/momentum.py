@@ -61,7 +61,7 @@ def set_velocities(chain: Chain, q: FloatArray, v: FloatArray, work: FloatArray)
 
 
 @njit
-def body_momentum(body: FloatArray, work: FloatArray, i: int) -> Carried:
+def _body_momentum(body: FloatArray, work: FloatArray, i: int) -> Carried:
     """A body that moves as frame i does, where `set_velocities` has been called."""
     w, u, h = read(work, i, RATE), read(work, i, SPEED), first_moment(body)
     linear = plus(cross(w, h), u, body[MASS])
@@ -69,7 +69,7 @@ def body_momentum(body: FloatArray, work: FloatArray, i: int) -> Carried:
 
 
 @njit
-def joint_balance(chain: Chain, i: int, carried: Carried, work: FloatArray) -> tuple[float, float]:
+def _joint_balance(chain: Chain, i: int, carried: Carried, work: FloatArray) -> tuple[float, float]:
     """Momentum of a joint without its rotor, and the force that changes it.
 
     With L, P angular and linear momentum of all that joint i carries, about its origin, and w, u
@@ -82,14 +82,6 @@ def joint_balance(chain: Chain, i: int, carried: Carried, work: FloatArray) -> t
         return linear[2], w[1] * linear[0] - w[0] * linear[1] + mass * g[2]
     moved = w[1] * angular[0] - w[0] * angular[1] + u[1] * linear[0] - u[0] * linear[1]
     return angular[2], moved + h[0] * g[1] - h[1] * g[0]
-
-
-@njit
-def carried_to_parent(work: FloatArray, i: int, carried: Carried) -> Carried:
-    """What joint i carries, about the origin of frame i-1."""
-    momentum, h, mass = carried
-    h = plus(to_parent(work, i, h), read(work, i, PLACE), mass)
-    return wrench_to_parent(work, i, momentum), h, mass
 
 
 @njit
@@ -123,15 +115,17 @@ def carried_momentum(
     zero = (0.0, 0.0, 0.0)
     carried = (zero, zero), zero, 0.0
     for i in range(v.shape[0] - 1, -1, -1):
-        (linear, angular), h, mass = body_momentum(inertial[i], work, i)
+        (linear, angular), h, mass = _body_momentum(inertial[i], work, i)
         before, moment, weight = carried
         wrench = plus(linear, before[0]), plus(angular, before[1])
         carried = wrench, plus(h, moment), mass + weight
-        momentum[i], force[i] = joint_balance(chain, i, carried, work)
+        momentum[i], force[i] = _joint_balance(chain, i, carried, work)
         for j in range(v.shape[0]):
             momentum[i] += motor[i, j] * v[j]
         if i > 0:
-            carried = carried_to_parent(work, i, carried)
+            wrench, moment, weight = carried
+            moment = plus(to_parent(work, i, moment), read(work, i, PLACE), weight)
+            carried = wrench_to_parent(work, i, wrench), moment, weight
 
 
 @njit
@@ -167,6 +161,7 @@ def _add_composite_to_parent(i: int, work: FloatArray) -> None:
     xx, xy, xz = to_parent(work, i, (a[0], b[0], c[0]))
     _, yy, yz = to_parent(work, i, (a[1], b[1], c[1]))
     _, _, zz = to_parent(work, i, (a[2], b[2], c[2]))
+    # h p^T + p h^T + m p p^T = s p^T + p s^T with s half way from h to h + m p.
     moved, middle = plus(h, p, mass), plus(h, p, 0.5 * mass)
     x, y, z = p[0] * middle[0], p[1] * middle[1], p[2] * middle[2]
     into[MASS] += mass
