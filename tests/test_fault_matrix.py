@@ -185,6 +185,15 @@ def test_given_a_reading_that_never_changed_when_its_joint_moves_then_it_is_name
     assert len(list(islice(found, least))) == least
 
 
+@pytest.mark.parametrize(('arm', 'runs'), [('chain3', (2, 10)), ('pausing', (0, 5))])
+def test_given_a_rate_bias_when_it_began_beside_the_starts_or_before_them_then_it_is_named(
+    arm, runs
+):
+    """Where its window begins elsewhere, the balances hold no jump of the momentum there."""
+    (cell,) = cells([arm], [False], ['independent'], [BY_NAME['rate bias 0.1']])
+    assert [run(cell, k, 7).kind for k in runs] == ['rate_bias'] * len(runs)
+
+
 def test_given_a_rate_bias_that_its_noise_hides_for_long_then_its_alarm_stays():
     (cell,) = cells(['swinging'], [False], ['independent'], [BY_NAME['rate bias 0.1']])
     for k in range(4):

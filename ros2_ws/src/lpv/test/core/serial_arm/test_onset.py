@@ -96,6 +96,20 @@ def test_given_a_drift_when_its_onset_is_sought_then_it_is_the_dense_best_and_tr
     assert [one.gain for one in short] == [-np.inf, -np.inf]
 
 
+@pytest.mark.parametrize('fault', [
+    Fault('encoder2', 'drift', BEGIN, rate=RATE), Fault('encoder2', 'rate_bias', BEGIN, size=RATE),
+], ids=['drift', 'rate_bias'])  # fmt: skip
+def test_given_a_fault_beside_rates_when_its_onset_is_no_start_then_cause_and_size_are_right(fault):
+    arm = shoulder_arm('independent')
+    run = simulated_run(arm, 3.8, fault, noise=False)
+    monitor = watch_to_decision(arm, run, int(np.searchsorted(run.stamps, 3_620_000_000)))
+    found = monitor.bank.compare(monitor.readings.blocks, [], set())
+    (best, share), *_ = monitor.bank.shares(found)
+    assert (best.kind, best.joint) == (fault.kind, JOINT) and share > 0.99
+    assert best.begin == pytest.approx(BEGIN, abs=0.3 * monitor.plan.interval)
+    assert best.size == pytest.approx(RATE, rel=0.02)
+
+
 def test_given_a_drift_that_is_tried_then_it_changes_balances_as_blocks_without_it_do(monitor):
     blocks, per = monitor.readings.blocks(LAST + 1), monitor.plan.blocks
     estimator = monitor.estimator

@@ -71,7 +71,7 @@ from lpv.core.serial_arm.diagnosis.linear_bank import (
     new_evidence,
     new_rows,
 )
-from lpv.core.serial_arm.diagnosis.onset import sudden_drifts
+from lpv.core.serial_arm.diagnosis.onset import OF_ONE, onsets_beside_rates, sudden_drifts
 from lpv.core.serial_arm.diagnosis.priors import (
     CONTACT,
     FAULT_AT_START,
@@ -83,7 +83,7 @@ from lpv.core.serial_arm.diagnosis.priors import (
     USUAL_RATE,
 )
 from lpv.core.serial_arm.diagnosis.published_rates import rate_noise
-from lpv.core.serial_arm.diagnosis.sampler import Sampler, smallest_jump
+from lpv.core.serial_arm.diagnosis.sampler import Sampler, block_end, smallest_jump
 from lpv.core.serial_arm.diagnosis.stuck import (
     LINEAR,
     Course,
@@ -237,7 +237,7 @@ class Bank:
             self._derived,
             np.ones(self._push.shape, bool),
         )
-        single: list[tuple[str, dict[int, float], np.ndarray]] = [
+        every: list[tuple[str, dict[int, float], np.ndarray]] = [
             ('drift', {DRIFT: 1.0}, everywhere),
             ('scale', {SCALE: 1.0}, everywhere),
             ('slip', {OFFSET: 1.0}, everywhere),
@@ -247,9 +247,9 @@ class Bank:
             # That a rate is independent is a statement of the file, which may be wrong.
             ('drift', {DRIFT: 1.0, RATE: 1.0}, ~derived),
             ('drift', {DRIFT: 1.0, JUMP: 1.0}, derived),
+            # It may be older than its window.
+            ('drift', {DRIFT: 1.0}, derived),
         ]
-        # It may be older than its window.
-        every = [*single, ('drift', {DRIFT: 1.0}, derived)]
         names = [kind for kind, *_ in every]
         self._places = np.array([_KINDS.index(kind) for kind in names])
         applies = np.array([where for *_, where in every], float)
@@ -265,12 +265,14 @@ class Bank:
             else SIZE[kind] * (np.ones(n) if kind in _RELATIVE else scale)
             for kind in names
         ])  # fmt: skip
-        growing, recent = ('drift', 'torque_gain', 'torque_offset'), self._lengths <= self._recent
+        growing = 'drift', 'rate_bias', 'torque_gain', 'torque_offset'
+        recent = self._lengths <= self._recent
         windows = np.array([
             len(recent) if kind in growing else np.count_nonzero(recent) for kind in names
         ])  # fmt: skip
         self._kinds = Kinds(basis, prior, applies, windows, older)
         loads = len(self.estimator.window.loads) > 0
+        # Onsets beside rates are those of windows, told more exactly.
         self._log_weight = float(-np.log(2 + applies.sum() + n + derived.sum() + loads))
 
     @property
@@ -298,6 +300,8 @@ class Bank:
         single = stuck + self._load_changes(count) + self._stops(blocks, count, known)
         if self._derived.any():
             single += self._sudden(blocks, count)
+        if self.kinematics.trusted.any():
+            single += self._beside_rates(blocks, count)
         pushes = _rows(
             count, kind=_KINDS.index(CONTACT), joint=-1, gain=evidence.contact[:count],
             begin=evidence.begin[:count], starts=self._starts[:count])  # fmt: skip
@@ -465,6 +469,29 @@ class Bank:
             Hypothesis('drift', i, one.gain, one.size, one.sigma, one.begin)
             for i, one in zip(joints.tolist(), onsets)
         ]
+
+    def _beside_rates(self, blocks: Callable[[int], FloatArray], windows: int) -> list[Hypothesis]:
+        """Drifts of encoders, and biases of rates beside them, by the moment when they began.
+
+        The momentum seems to jump with a rate, and does not with a reading that begins to drift:
+        windows of the bank begin at other moments.
+        """
+        estimator, own = self.estimator, self.kinematics
+        last = min(int(self._lengths[windows - 1]), len(estimator) - 1) + 1
+        rows, end = new_rows(last, estimator.joints), block_end(blocks(1)[-1])
+        lengths, interval = np.arange(1, last + 1), estimator.plan.interval
+        estimator.call(sum_rows, own.parts, interval, lengths, rows)
+        # Less evidence than a hypothesis needs to count at all is none.
+        contradict = 0.5 * (rows.weight * rows.found**2).max(axis=0) > -self._log_weight
+        joints, hypotheses = np.flatnonzero(contradict), list[Hypothesis]()
+        ways = rows.found[:, joints], rows.weight[:, joints]
+        for fault in OF_ONE if joints.size else ():
+            every = onsets_beside_rates(estimator, joints, end, fault, ways)
+            hypotheses += [
+                Hypothesis(fault.kind, i, one.gain, one.size, one.sigma, one.begin, starts)
+                for i, (one, starts) in zip(joints.tolist(), every)
+            ]
+        return hypotheses
 
     def excludes_contact(self, fault: Hypothesis, margin: float) -> bool:
         """Whether a fault explains more than smooth torques from outside do, in any window.

@@ -31,7 +31,7 @@ from lpv.core.support.jit import njit_in_place
 STARTS = (0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.7, 1.0, 1.4, 1.8, 2.5)
 """Times ago at which a cause may have begun [s]: every one that comes passes each of them."""
 DRIFT_STARTS = (3.5, 5.0, 7.0)
-"""The same of drifts, which go on growing, and of torques, which may look like them."""
+"""The same of drifts and biases of rates, which go on growing, and of torques like them."""
 JUMP = 6
 """Seventh column: a rate reading jumps at the start, and the momentum seems to, by M S^-1 e_i."""
 COLUMNS = 7

@@ -1,11 +1,16 @@
-"""Drifts of encoders that begin suddenly: the moment itself is evidence.
+"""Drifts of encoders and biases of rates that begin suddenly: the moment itself is evidence.
 
 Where a rate is derived from its reading, a drift d of encoder i that begins at b seems to add
 d M(q) e_i to the momentum at once.  The two balances whose hats hold b show it, with weights 1 - s
 and s, where s is the place of b in the interval that they share.  A torque from outside would have
 to be an impact along a column of the mass matrix, and to act as a drift does from then on.
+
+So does a bias of a rate that has a sensor of its own, where a drift of the encoder beside it leaves
+the momentum as it is: what the two read contradicts each other as much, and the jump tells them
+apart, if it is sought where it was.
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -19,6 +24,7 @@ from lpv.core.serial_arm.diagnosis.balance import (
     DRIFT,
     EPOCH,
     OFFSET,
+    RATE,
     VISCOUS,
     VISCOUS_PART,
 )
@@ -84,6 +90,31 @@ def sudden_drifts(
     ]
 
 
+class Sudden(NamedTuple):
+    """A fault that begins suddenly, by the columns of balances that it adds."""
+
+    kind: str
+    group: int  # of the column that goes on
+    jumps: bool  # whether the rate, and with it the momentum, seems to jump
+
+
+DRIFT_OF_BOTH = Sudden('drift', DRIFT, True)
+"""Drift of an encoder and of the rate that is derived from it."""
+OF_ONE = Sudden('drift', DRIFT, False), Sudden('rate_bias', RATE, True)
+"""Faults of an encoder and of a rate sensor beside it: what they read contradicts each other."""
+
+
+class _Scores(NamedTuple):
+    """Of onsets in P places of the last intervals of B balances, for J joints."""
+
+    back: IntArray  # (B,) the older balance that holds the onset, counted from the last one
+    begin: FloatArray  # (P, B) [s]
+    total: FloatArray  # (P, B, J)
+    power: FloatArray  # (P, B, J) variance of the total
+    jump: FloatArray  # (P, B, J) what of the total is the momentum's jump
+    jump_power: FloatArray  # (P, B, J)
+
+
 def likely_onsets(
     estimator: OffsetEstimator, joints: IntArray, end: float, prior: FloatArray, last: int
 ) -> list[list[Onset]]:
@@ -96,21 +127,57 @@ def likely_onsets(
     ``end`` is that of the last balance [s], ``prior``, shape (J,), the standard deviation of drifts
     [rad/s]; else as in `sudden_drifts`.
     """
+    one = _scores(estimator, joints, end, last, DRIFT_OF_BOTH)
+    when = one.begin, one.back
+    likely = _best_onsets((one.total, one.power + prior**-2), prior, when, -np.inf, 1)
+    jumps = _best_onsets((one.jump, one.jump_power + prior**-2), prior, when, 0.0, _JUMPS)
+    return [found + more for found, more in zip(likely, jumps)]
+
+
+def onsets_beside_rates(
+    estimator: OffsetEstimator,
+    joints: IntArray,
+    end: float,
+    fault: Sudden,
+    ways: tuple[FloatArray, FloatArray],
+) -> list[tuple[Onset, float]]:
+    """The best onset of a fault of each of some joints with rates of their own.
+
+    ``ways`` are sums of the last 1, 2, ... kinematic rows of these joints, and their inverse
+    variances, shape (B, J); that of the onset's interval, of which a part counts, is left out.
+    With an onset comes the number of those that it stands for: one a balance, as likely anywhere
+    in its interval.
+    """
+    prior = SIZE[fault.kind] * estimator.balance.scale[joints]
+    one = _scores(estimator, joints, end, len(ways[0]), fault)
+    sums, weight = (part[one.back - 1] for part in ways)
+    way = one.back[:, None] * estimator.plan.interval * (-1.0 if fault.group == RATE else 1.0)
+    score = one.total - weight * sums * way, one.power + weight * way**2 + prior**-2
+    best = _best_onsets(score, prior, (one.begin, one.back), -np.inf, 1)
+    every = _gains(score, prior).reshape(-1, len(joints))
+    starts = np.logaddexp.reduce(every, initial=-np.inf) - math.log(len(PLACES))
+    found = [some[0] if some else NO_ONSET for some in best]
+    return [(one, math.exp(total - one.gain)) for one, total in zip(found, starts.tolist())]
+
+
+def _scores(
+    estimator: OffsetEstimator, joints: IntArray, end: float, last: int, fault: Sudden
+) -> _Scores:
+    """Scores of a fault of some joints for all onsets in the last balances, by these alone."""
     window, null = estimator.window, estimator.posterior
     n, interval = estimator.joints, estimator.plan.interval
     back = np.arange(ONSET, last - 1)
-    if len(back) == 0:
-        return [[] for _ in joints]
     estimator.call(set_residuals, window, null, last)
     at, left = recent(window, last), null.residual[:last, :, None]
     rows, weights = window.rows[at], window.weights[at][:, :, None]
     # Axes: balance, row, joint.  Products with the unknowns' columns are U^-T of them.
-    drift, offset = (rows[:, :, 1 + group * n + joints] for group in (DRIFT, OFFSET))
-    mass = window.momenta[at[back]][:, :, joints]
+    column, offset = (rows[:, :, 1 + group * n + joints] for group in (fault.group, OFFSET))
+    offset = offset * (fault.group == DRIFT)
+    mass = window.momenta[at[back]][:, :, joints] * fault.jumps
     unknowns = whitened(null, rows[:, :, -len(null.mean) :])
-    columns = np.stack([drift, offset])
+    columns = np.stack([column, offset])
     weighted = weights * columns
-    # Sums over the balances behind each onset, for the columns of drift and of offset.
+    # Sums over the balances behind each onset, for the columns of fault and of offset.
     score = (weighted * left).sum(2).cumsum(1)[:, back - 1]
     squares = np.einsum('pkij,qkij->pqkj', weighted, columns).cumsum(2)[:, :, back - 1]
     cross = (weighted.swapaxes(2, 3) @ unknowns).cumsum(1)[:, back - 1]
@@ -137,11 +204,14 @@ def likely_onsets(
     known = cross[0] - (first - epoch)[:, :, None] * cross[1] - older[2]
     change = older[2] - newer[2] - interval * cross[1]
     square -= (known**2).sum(2) + s * (2.0 * (known * change).sum(2) + s * (change**2).sum(2))
-    when = begin[:, :, 0], back
-    everything = total, np.maximum(square, 0.0) + prior**-2
-    likely = _best_onsets(everything, prior, when, -np.inf, 1)
-    jumps = _best_onsets((jump, weight + prior**-2), prior, when, 0.0, _JUMPS)
-    return [found + more for found, more in zip(likely, jumps)]
+    return _Scores(back, begin[:, :, 0], total, np.maximum(square, 0.0), jump, weight)
+
+
+def _gains(score: tuple[FloatArray, FloatArray], prior: FloatArray) -> FloatArray:
+    """Logarithms of Bayes factors, of scores and their variances; -inf where they are no number."""
+    total, power = score
+    gains = 0.5 * (total**2 / power - np.log(power * prior**2))
+    return np.where(np.isfinite(gains), gains, -np.inf)
 
 
 def _best_onsets(
@@ -155,12 +225,10 @@ def _best_onsets(
 
     ``score``, shape (places, B, J), has scores and their variances, ``when`` moments and balances.
     """
-    total, power = score
-    gains = 0.5 * (total**2 / power - np.log(power * prior**2))
-    gains, every = np.where(np.isfinite(gains), gains, -np.inf), list[list[Onset]]()
+    (total, power), gains, every = score, _gains(score, prior), list[list[Onset]]()
     for j in range(gains.shape[2]):
         gain, found = gains[:, :, j], list[Onset]()
-        for _ in range(most):
+        for _ in range(most if gain.size else 0):
             at = place, k = divmod(int(gain.argmax()), gain.shape[1])
             if not gain[at] > least:
                 break
