@@ -268,6 +268,16 @@ def test_given_noise_that_begins_in_a_balance_then_its_size_is_told_and_no_other
     assert sizes == pytest.approx([0.02, 0.02], rel=0.5)
 
 
+def test_given_noise_whose_first_jump_may_be_a_wrong_stamp_when_it_ends_then_no_offset_is_left():
+    (cell,) = cells(['swinging'], [False], ['independent'], [BY_NAME['noise 0.02']])
+    subject, window, _ = draw(cell, 0, 1)
+    first, end = window.faults[0], window.faults[1].onset
+    events = subject.answers(window.stream.part(0.0, end)).events
+    assert {event.sensor for _, event in events} == {subject.arm.sensor_names[first.sensor]}
+    assert [event.kind for _, event in events][-2:] == ['noise', 'noise']
+    assert events[-1][1].event.name == 'CLEARED'
+
+
 @pytest.mark.parametrize('seed', [6, 12])
 def test_given_a_reading_frozen_where_its_joint_turns_when_it_jumps_back_then_bounds_hold_it(seed):
     """Friction holds the joint, says a file that states five times as much as there is."""

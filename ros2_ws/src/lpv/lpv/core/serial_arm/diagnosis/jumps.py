@@ -336,6 +336,8 @@ def _lasts(sampler: Sampler, i: int, peak: int) -> bool:
 def _remove_step(sampler: Sampler, i: int, peak: int) -> None:
     """Take a step out of all readings since its first one."""
     size = sampler.jumps[peak, i]
+    if sampler.doubtful[peak, i] > 0:  # it was no wrong stamp's, and counts as a jump
+        sampler.noise[0, i] += 1.0
     sampler.found[i] = STEP
     sampler.size[i] = size
     sampler.since[i] = HISTORY - peak
