@@ -70,10 +70,14 @@ def longest_gap(sampler: Sampler) -> float:
 
 @njit_in_place
 def largest_rate(sampler: Sampler, i: int, end: int) -> float:
-    """Largest rate of a joint in the last samples before one [rad/s]."""
+    """Largest rate of a joint in the last samples before one [rad/s].
+
+    A derived rate of the last sample but one holds the jump that it would explain.
+    """
     largest = 0.0
     for j in range(HISTORY - 6, end):
-        largest = max(largest, abs(sampler.samples[j, 1, i]))
+        if j != HISTORY - 2 or sampler.derived[i] == 0.0:
+            largest = max(largest, abs(sampler.samples[j, 1, i]))
     return largest
 
 
