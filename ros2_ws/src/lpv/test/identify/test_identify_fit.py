@@ -375,6 +375,15 @@ def test_given_few_samples_or_no_motion_then_it_is_said(arm, recording, motion, 
     assert np.isfinite(found.arm.parameter_vector()).all()
 
 
+def test_given_axes_that_hardly_miss_each_other_when_fitted_then_joints_are_driven(arm, simulated):
+    places, up, across = [(0.0, 0.003, 0.2)] * 3, (0.0, 0.0, 1.0), (0.0, 1.0, 0.0)
+    wrist = with_joints(arm, position=places, axis=[up, across, up])
+    workshop = Workshop(wrist, [simulated(wrist)])
+    # First moments over 3 mm are base parameters of 100 kg, which cancel.
+    assert np.abs(workshop.prior.mean).max() > 100.0
+    assert workshop.fit().prior.strength == workshop.strength and not workshop.warnings
+
+
 def test_given_bad_samples_or_stamps_when_cleaned_then_few_are_mended_many_refused(recording):
     effort = recording.effort.copy()
     effort[100:110] = np.nan

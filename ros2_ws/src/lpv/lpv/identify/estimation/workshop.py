@@ -98,15 +98,22 @@ class Workshop:
         scaled = replace(segment, effort=segment.effort * self.gain)
         motion = smooth(scaled, self.bands, self.use_rates, self.rate_delay, self.effort_delay)
         signals = motion.position, motion.velocity, derivative(motion.velocity, motion.step)
-        gravity = None if self.arm.effort_includes_gravity else np.zeros(3)
         margin = min(int(np.ceil(0.5 / (self.bands.test * self.step))), len(motion.time) // 10)
         return Rows(
             **vars(motion),
-            base=np.take(self.model.regressor(*signals, gravity), self.base.columns, axis=2),
+            base=self._base(*signals),
             counts=moving(motion.velocity, motion.step, self.arm.scales()),
             speed_limit=1.1 * np.array(self.arm.velocity_limit),
             part=slice(margin, len(motion.time) - margin),
         )
+
+    def _base(
+        self, position: np.ndarray, velocity: np.ndarray, acceleration: np.ndarray
+    ) -> np.ndarray:
+        """Regressor of the base parameters."""
+        gravity = None if self.arm.effort_includes_gravity else np.zeros(3)
+        full = self.model.regressor(position, velocity, acceleration, gravity)
+        return np.take(full, self.base.columns, axis=2)
 
     def train_rows(self) -> list[Rows]:
         """Rows that are fitted."""
@@ -192,12 +199,12 @@ class Workshop:
 
     def _strength(self, rows: Sequence[Rows]) -> float:
         """Strength of the prior, which is strong where a joint is hardly driven; that is said."""
-        # Joints that swing freely: their balance holds for parameters of any scale.
-        beta = np.abs(self.prior.mean[: self.base.size])
-        pairs = [
-            (predicted(np.abs(r.base), beta)[r.part], r.effort[r.part], r.counts[r.part])
-            for r in rows
-        ]
+        # Joints that swing freely: gravity drives them, and their balance holds at any scale.
+        beta, rest, pairs = self.prior.mean[: self.base.size], np.zeros((1, self.n)), []
+        for r in rows:
+            weight = predicted(self._base(r.position, rest, rest), beta)
+            acting = np.abs(weight) + np.abs(predicted(r.base, beta) - weight)
+            pairs.append((acting[r.part], r.effort[r.part], r.counts[r.part]))
         acting, effort, counts = (np.concatenate(part) for part in zip(*pairs))
         few = np.sum(np.abs(effort) * counts, axis=0) < _PASSIVE * np.sum(acting * counts, axis=0)
         if passive := [name for name, is_few in zip(self.arm.joint_names, few) if is_few]:
