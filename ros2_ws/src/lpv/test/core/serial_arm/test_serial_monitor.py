@@ -17,6 +17,7 @@ from lpv.core.serial_arm.description import Uncertainty
 from lpv.core.serial_arm.diagnosis.alarms import SensorState
 from lpv.core.serial_arm.diagnosis.bank import CONTACT_TIME
 from lpv.core.serial_arm.diagnosis.estimator import DISTRUST
+from lpv.core.serial_arm.diagnosis.information import ROBUST
 from lpv.core.serial_arm.diagnosis.published_rates import rate_lag
 from lpv.core.serial_arm.diagnosis.sampler import CONTRARY, HIDDEN, NOISY, SPIKE, STEP, new_sampler
 from lpv.core.serial_arm.diagnosis.sampling import push_sample
@@ -44,6 +45,16 @@ def test_healthy_arm_of_unknown_parameters_raises_nothing_and_its_axis_has_no_le
     if rates == 'derived' and seed == 1:
         assert estimate.state[0] is SensorState.NOT_DIAGNOSABLE and estimate.sigma[0] > 0.4
         assert estimate.state[1:] == (SensorState.OK, SensorState.OK)
+
+
+def test_given_many_unknowns_when_the_largest_is_one_of_chance_then_the_file_fits():
+    arm = shoulder_arm()
+    estimator = watch(arm, simulated(arm, duration=4.0)).estimator
+    unknown = estimator.posterior.mean[len(arm.joints) :]
+    for sigmas, fits in ((3.2, True), (5.0, False)):
+        unknown[:] = 0.0
+        unknown[-1] = sigmas / np.sqrt(estimator.posterior.least[-1])
+        assert (estimator.misfit() < ROBUST) is fits
 
 
 @pytest.mark.parametrize('joint', [1, 2])

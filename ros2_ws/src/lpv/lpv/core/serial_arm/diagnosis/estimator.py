@@ -522,8 +522,10 @@ class OffsetEstimator:
         if self.window.counters[NEXT] * self.plan.interval < NOISE_KNOWN_AFTER:
             return 0.0
         null, n = self.posterior, self.joints
-        unknowns = np.abs(null.mean[n:]) * np.sqrt(null.least[n:])
-        return float(max(unknowns.max(), (null.noise / null.expected).max()))
+        unknowns = null.mean[n:] ** 2 * null.least[n:]
+        # Of m of them the largest square is about 2 log(m) by chance.
+        largest = max(unknowns.max() - 2.0 * np.log(len(unknowns)), 0.0)
+        return float(max(np.sqrt(largest), (null.noise / null.expected).max()))
 
     def left_over(self, last: int) -> tuple[FloatArray, FloatArray]:
         """What the estimate leaves of the last balances, newest first, and its usual size."""
