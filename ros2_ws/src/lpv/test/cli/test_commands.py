@@ -304,6 +304,16 @@ def test_given_a_camera_on_the_wrist_when_initialised_then_the_tip_is_the_deepes
     assert arm.tip == pytest.approx((0.2, 0.0, 0.3))
 
 
+def test_given_a_finger_that_is_deeper_than_the_tool_when_held_then_the_tip_is_the_tool(init):
+    pad = (
+        '<link name="pad"/><joint name="glue" type="fixed"><parent link="left"/>'
+        '<child link="pad"/></joint>'
+    )
+    arm, said = init(*HOLDS[1].split(), urdf=GRIPPER.replace('</robot>', f'{pad}</robot>'))
+    assert 'tip: tool, where loads sit; --tip names another: ' in said and ' pad' in said
+    assert arm.tip == (0.0, 0.0, 0.3)
+
+
 def test_given_a_urdf_with_friction_when_a_motion_is_planned_then_torques_hold_it(tmp_path, call):
     (tmp_path / 'arm.urdf').write_text(GRIPPER.replace('friction="0.25"', 'friction="300"'))
     options = '--urdf', tmp_path / 'arm.urdf', '--out', tmp_path / 'motion', '--trials', 1

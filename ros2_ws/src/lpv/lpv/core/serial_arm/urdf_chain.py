@@ -79,7 +79,7 @@ def read_urdf_ends(
     """The arm of a URDF as of `read_urdf_chain`, and the links where it may end.
 
     These are behind its last joint, with no link behind them.  The tip is the first; without
-    ``tip`` that with most links before it, of several that with fewest locked joints before it.
+    ``tip`` that with fewest locked joints before it, of several that with most links before it.
     """
     urdf = read_urdf_text(Path(path))
     model, held, ends, place = _read_model(urdf, str(path), locked, joints, tip)
@@ -186,7 +186,7 @@ def _ends(model: 'pinocchio.Model', held: Mapping[str, float]) -> tuple[int, tup
             if at.type == pinocchio.FrameType.BODY:
                 inner.add(at.name)
         if frame.type == pinocchio.FrameType.BODY and at.type == pinocchio.FrameType.JOINT:
-            ways[frame.name] = at.parentJoint, -links, locks
+            ways[frame.name] = at.parentJoint, locks, -links
     last = max((joint for joint, *_ in ways.values()), default=0)
     ends = [name for name, (joint, *_) in ways.items() if joint == last and name not in inner]
     return last, tuple(sorted(ends, key=ways.__getitem__))
