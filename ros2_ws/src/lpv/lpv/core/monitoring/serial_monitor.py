@@ -7,6 +7,7 @@ not depend on how measurements are divided.
 """
 
 from collections.abc import Sequence
+from itertools import compress
 from typing import Any
 
 import numpy as np
@@ -71,7 +72,7 @@ _LOST = (
     'a second'
 )
 _UNITS = 'readings are in another unit, or of another arm; {}'
-_NO_EFFORT = f'no efforts: {_JUMPS_ALONE}'
+_NO_EFFORT = f'no efforts{{}}: {_JUMPS_ALONE}'
 _NO_WEIGHT = f'efforts leave out the weight: {_JUMPS_ALONE}'
 
 
@@ -199,6 +200,7 @@ class SerialSensorMonitor:
         self._gate = StampGate()
         self._turns = Turns(self.arm)
         self._blind: bool | None = None  # whether efforts are missing
+        self._without = ''  # of which joints, if not of all
         self._stamp = NEVER  # of the last usable sample [ns]
         self._reading = np.zeros(self._joints)  # of that sample [rad]
         self._repeats = new_repeats(self._joints)
@@ -406,8 +408,8 @@ class SerialSensorMonitor:
         """
         if not self._is_new(stamp):
             return False
-        blind = not np.isfinite(sample[2]).all()
-        wrong = ''
+        missing, wrong = ~np.isfinite(sample[2]), ''
+        blind = bool(missing.any())
         if self._repeats.own['stalled'][0]:
             wrong = 'repeated'
         elif unread:
@@ -426,6 +428,8 @@ class SerialSensorMonitor:
             return False
         if blind is not self._blind:
             self._blind = self._monitor.blind = blind
+            names = ', '.join(compress(self.arm.joint_names, missing))
+            self._without = '' if missing.all() else f' of {names}'
             self._monitor.begin_again()
             self._monitor.watch_from(stamp)
         was_back = self._older > LONGEST_STEP  # the clock, and samples are missing since
@@ -607,7 +611,7 @@ class SerialSensorMonitor:
         if text := other_unit(self.arm, position, position):
             return _UNITS.format(text)
         if not monitor.uses_balances:
-            return _NO_EFFORT if self._blind else _NO_WEIGHT
+            return _NO_EFFORT.format(self._without) if self._blind else _NO_WEIGHT
         if not monitor.balances and gaps - self._gaps_before > LONGEST_STEP:
             return _TOO_RARE
         if gaps - self._gaps_reported > LONGEST_STEP:

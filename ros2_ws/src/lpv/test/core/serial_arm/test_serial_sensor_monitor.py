@@ -182,12 +182,14 @@ def test_given_a_step_when_found_then_the_alarm_names_it_and_its_reading_is_corr
     assert [status['message'] for status in sensors][1] == 'fault confirmed'
 
 
-@pytest.mark.parametrize('weight', [True, False])
-def test_given_no_efforts_or_none_of_the_weight_then_no_offsets_are_diagnosable(weight):
+@pytest.mark.parametrize('lacking', ['all', 'one', 'weight'])
+def test_given_no_efforts_or_none_of_the_weight_then_no_offsets_are_diagnosable(lacking):
     stamps, samples, position = recorded()
-    samples, arm, said = samples.copy(), ARM, 'no efforts'
-    if weight:
+    samples, arm, said = samples.copy(), ARM, 'no efforts: '
+    if lacking == 'all':
         samples[:, 2] = np.nan
+    elif lacking == 'one':
+        samples[:, 2, 1], said = np.nan, f'no efforts of {ARM.joint_names[1]}: '
     else:
         arm, said = replace(ARM, effort_includes_gravity=False), 'leave out the weight'
         model = SerialModel(compile_chain(arm))
