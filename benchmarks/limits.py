@@ -17,7 +17,7 @@ from lpv.core.serial_arm.diagnosis.bank import Hypothesis
 from lpv.core.serial_arm.diagnosis.estimator import HorizonPlan
 from lpv.core.serial_arm.diagnosis.information import Window, recent
 from lpv.core.serial_arm.diagnosis.priors import SIZE
-from lpv.core.serial_arm.diagnosis.settings import MonitorSettings
+from lpv.core.serial_arm.diagnosis.settings import DiagnosisParameters
 from lpv.core.serial_arm.sensor_map import map_rows
 
 LESS_NOISE = (1.0, 10.0, 100.0)
@@ -28,7 +28,7 @@ NEVER_ALARM = 1e200
 
 def needed(arm: SerialArm, kind: str = '') -> float:
     """Square of a fault over its variance that an alarm needs; of a scale error, its name."""
-    settings = MonitorSettings()
+    settings = DiagnosisParameters()
     if kind == 'scale':
         return -2.0 * math.log(settings.probability_of_wrong_name)
     return 2.0 * settings.threshold(HorizonPlan.of(arm.sample_time).interval)

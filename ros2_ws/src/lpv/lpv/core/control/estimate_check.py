@@ -12,6 +12,7 @@ import numpy as np
 
 from lpv.core.serial_arm.chain import FloatArray, IntArray
 from lpv.core.serial_arm.description import SerialArm
+from lpv.core.serial_arm.diagnosis.settings import DiagnosisParameters
 from lpv.core.support.jit import Entries
 from lpv.core.support.jit import njit_in_place as njit
 from lpv.core.support.limits import MAX_GAP
@@ -43,9 +44,8 @@ def check_values(values: np.ndarray) -> int:
 
 CHANGE_SHARE = 0.25
 """Rate at which a position may leave what the rates say: share of the velocity limit."""
-FADING = 0.5
-"""Fastest rate at which the rest of such a change reaches the loop, default of compensation_rate
-[rad/s]."""
+FADING = DiagnosisParameters.compensation_rate
+"""Fastest rate at which the rest of such a change reaches the loop [rad/s]."""
 REST_SHARE = 0.1
 """Share of the velocity limit: slower is rest, and smaller changes of a rate pass at once."""
 _RATE_FADING = 1.0 / MAX_GAP

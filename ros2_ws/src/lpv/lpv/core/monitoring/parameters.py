@@ -1,43 +1,15 @@
 """Tuning of the diagnosis."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from typing import Any
 
-from lpv.core.control.estimate_check import FADING
-from lpv.core.serial_arm.diagnosis.settings import MonitorSettings
+from lpv.core.serial_arm.diagnosis.settings import DIAGNOSIS, DiagnosisParameters
 from lpv.core.support.config import Section
 from lpv.core.support.errors import ConfigError
 from lpv.core.support.limits import MAX_GAP
 from lpv.core.support.options import Entry, entries
 
-
-@dataclass(frozen=True)
-class DiagnosisParameters(MonitorSettings):
-    """What a user asks of the decisions; every field is a parameter of the observer node."""
-
-    # how fast a compensation without a known step is faded in and out [rad/s]
-    compensation_rate: float = FADING
-    # a confirmed fault that is removed with a wider bound stops the arm [rad]
-    safe_stop_bound: float = 1.5
-
-
-DIAGNOSIS = tuple(
-    one._replace(default=getattr(DiagnosisParameters, one.name))
-    for one in entries("""
-hours_between_false_alarms[0.01:1e6]  mean time between false alarms of a healthy arm [h]
-probability_of_wrong_name[1e-6:0.5]  probability that a named cause is another one [1]
-minimum_threshold[0:10]  smaller lasting offsets are no faults [rad]
-smallest_step[0:10]      smaller jumps of a reading are no faults [rad]
-clear_dwell[0:100]       for which a fault must be over before its alarm ends [s]
-latch                    alarms stay until ~/reset, even if the fault is over
-sigmas[1:10]             standard deviations in a bound [1]
-compensation_rate[0.01:100]  how fast a compensation without a known step is faded in and out
-                         [rad/s]
-safe_stop_bound[0.01:100]  a confirmed fault that is removed with a wider bound stops the arm [rad]
-""")
-)
-"""Fields of `DiagnosisParameters`, which has their defaults, as parameters of the observer node."""
 SAMPLING = tuple(
     entries(f"""
 initial_samples=1[1:100000]  samples over which the start value is averaged

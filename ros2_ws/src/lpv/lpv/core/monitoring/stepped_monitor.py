@@ -53,8 +53,6 @@ class SteppedMonitor(SerialMonitor):
         What samples are answered with, until the next decision.
     """
 
-    settings: DiagnosisParameters
-
     def __init__(
         self,
         arm: SerialArm,

@@ -78,7 +78,7 @@ from lpv.core.serial_arm.diagnosis.sampler import (
 )
 from lpv.core.serial_arm.diagnosis.sampling import restart
 from lpv.core.serial_arm.diagnosis.sensor_state import SensorRecord
-from lpv.core.serial_arm.diagnosis.settings import MonitorSettings
+from lpv.core.serial_arm.diagnosis.settings import DiagnosisParameters
 from lpv.core.serial_arm.diagnosis.stuck import Frozen, at_rest
 from lpv.core.serial_arm.diagnosis.undecided_jumps import UndecidedJumps
 from lpv.core.support.records import memory, new_record, plain
@@ -124,7 +124,7 @@ class SerialMonitor:
     ----------
     arm : SerialArm
         Arm and sensors.
-    settings : MonitorSettings, optional
+    settings : DiagnosisParameters, optional
         What is asked of the decisions.
 
     Attributes
@@ -139,9 +139,9 @@ class SerialMonitor:
         Joints whose rates the file calls independent, and that are derived from their readings.
     """
 
-    def __init__(self, arm: SerialArm, settings: MonitorSettings | None = None) -> None:
+    def __init__(self, arm: SerialArm, settings: DiagnosisParameters | None = None) -> None:
         self.arm = arm
-        self.settings = settings or MonitorSettings()
+        self.settings = settings or DiagnosisParameters()
         self.joints = len(arm.joints)
         self.alarms: list[SerialAlarm] = []
         self.scales, kinds = arm.scales(), (*ENCODER_KINDS, 'bias', 'rate_bias')
