@@ -10,7 +10,7 @@ import numpy as np
 
 from lpv.core.serial_arm.chain import COULOMB as DRY
 from lpv.core.serial_arm.chain import MASS, MX, SLOPE, VISCOUS, Chain, FloatArray, joint_count
-from lpv.core.serial_arm.description import SerialArm
+from lpv.core.serial_arm.description import SerialArm, inertia_matrix
 from lpv.core.serial_arm.diagnosis.balance import DELAY_PART, READINGS_AT_EDGES
 from lpv.core.serial_arm.diagnosis.priors import (
     MODEL_ERROR,
@@ -126,16 +126,11 @@ def relative_factor(chain: Chain, relative: float) -> FloatArray:
         rows.append(whole)
         reach = np.linalg.norm(body[MX : MX + 3]) / max(body[MASS], 1e-9)
         for k in range(MX, 10):
-            size = body[MASS] * reach if k < 4 else np.trace(_inertia(body)) / 2.0
+            size = body[MASS] * reach if k < 4 else np.trace(inertia_matrix(body[4:])) / 2.0
             part = np.zeros((n, 10))
             part[i, k] = relative * size / 2.0
             rows.append(part)
     return np.array(rows).reshape(len(rows), -1)
-
-
-def _inertia(body: FloatArray) -> FloatArray:
-    xx, xy, yy, xz, yz, zz = body[4:]
-    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
 
 
 def parameter_directions(
