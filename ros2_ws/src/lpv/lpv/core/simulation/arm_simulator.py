@@ -1,7 +1,7 @@
 """A simulated arm with its sensors: plant, disturbance, noise and faults, step by step."""
 
 import math
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -92,19 +92,6 @@ class Chances(NamedTuple):
     noise: np.random.Generator  # of the sensors
     push: np.random.Generator  # of the disturbance
     fault: np.random.Generator
-
-
-class Engine(Protocol):
-    """Integrates an arm in place of `integrate`."""
-
-    def advance(
-        self, motion: FloatArray, torque: FloatArray, push: FloatArray, interval: float, steps: int
-    ) -> None:
-        """Advance positions and rates, shape (2, n), over an interval [s] in so many steps.
-
-        ``torque`` of the drives and the accelerations ``push`` of a disturbance are held, shape
-        (n,) [N m], [rad/s2].
-        """
 
 
 @njit
@@ -214,7 +201,7 @@ class ArmSimulator:
         Of plant and sensors.
     chances : Chances
         Of the run.
-    engine : Engine or None
+    engine : MujocoChain, PaperPlant or None
         Integrates the arm in place of `integrate`.
     signals : dict
         Arrays of shape (n,), the disturbance's of (1,), that `read` writes, with the fields of
@@ -322,7 +309,7 @@ def refuse_failure(state: PlantState) -> None:
     )
 
 
-def _engine(arm: SerialArm, scenario: Scenario, chain: Chain) -> Engine | None:
+def _engine(arm: SerialArm, scenario: Scenario, chain: Chain) -> MujocoChain | PaperPlant | None:
     """What integrates the arm in place of `integrate`, if the scenario asks for it."""
     if scenario.plant == 'nonlinear':
         return None

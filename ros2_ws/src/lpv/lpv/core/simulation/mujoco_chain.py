@@ -50,7 +50,7 @@ class MujocoChain:
     def advance(
         self, motion: FloatArray, torque: FloatArray, push: FloatArray, interval: float, steps: int
     ) -> None:
-        """As `lpv.core.simulation.arm_simulator.Engine.advance`."""
+        """As `lpv.core.simulation.paper_plant.PaperPlant.advance`."""
         data = self._data
         data.qpos[:], data.qvel[:] = motion
         data.qfrc_applied[:] = self._torque[:] = torque

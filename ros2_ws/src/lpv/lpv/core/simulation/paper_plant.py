@@ -41,7 +41,11 @@ class PaperPlant:
     def advance(
         self, motion: FloatArray, torque: FloatArray, push: FloatArray, interval: float, steps: int
     ) -> None:
-        """As `lpv.core.simulation.arm_simulator.Engine.advance`."""
+        """Advance positions and rates, shape (2, n), over an interval [s] in so many steps.
+
+        ``torque`` of the drives and the accelerations ``push`` of a disturbance are held, shape
+        (n,) [N m], [rad/s2].
+        """
         joints = self._joints
         now = np.append(joints.absolute_position(motion[0]), joints.absolute_velocity(motion[1]))
         forces, pushes = joints.absolute_torque(torque), joints.absolute_velocity(push)
