@@ -31,7 +31,7 @@ class ColumnMap:
     time: str  # column of the time
     time_unit: str  # key of `TIME_UNITS`
     start: float | None  # stamp of the first sample [s]; None keeps the times of the file as stamps
-    joints: dict  # columns of position, velocity and effort by joint name; the effort may be ''
+    joints: dict  # columns of position, velocity and effort by joint name; the last two may be ''
     units: dict  # key of `UNITS` by joint name, for positions and rates
 
     @property
@@ -51,8 +51,8 @@ def load_column_map(path: str | Path) -> ColumnMap:
     joints, units, section = {}, {}, top.section('joints')
     for name in data['joints']:
         one = section.section(name)
-        effort = one.text('effort') if 'effort' in one else ''
-        joints[str(name)] = (one.text('position'), one.text('velocity'), effort)
+        rate, effort = (one.text(kind) if kind in one else '' for kind in ('velocity', 'effort'))
+        joints[str(name)] = (one.text('position'), rate, effort)
         units[str(name)] = one.text('unit', angle_unit, tuple(UNITS))
         one.finish()
     if not joints:
