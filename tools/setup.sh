@@ -189,7 +189,7 @@ build_workspace() {
     rm -f "$venv/bin/ros2"
     remove_packages lpv_ros2cli
   fi
-  say "building the workspace"
+  say "building the workspace and compiling the numerical code: minutes, the first time"
   local options=() numerics
   # At the same time, from the sources: nothing here needs the other.
   PYTHONPATH="$root/ros2_ws/src/lpv${PYTHONPATH:+:$PYTHONPATH}" \

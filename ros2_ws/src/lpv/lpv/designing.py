@@ -14,7 +14,7 @@ def design(arm: SerialArm, requirement: str | Path | None = None) -> Gains:
     arm : SerialArm
         A planar arm with an ``lpv`` region.
     requirement : str or pathlib.Path, optional
-        Requirement file, see docs/arm-file.md, or name of a shipped one; by default the shipped
+        Requirement file, see docs/tracking.md, or name of a shipped one; by default the shipped
         one of the arm's name.
 
     Returns

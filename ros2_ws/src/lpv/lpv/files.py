@@ -17,7 +17,7 @@ def load_arm(name: str | Path) -> SerialArm:
     Parameters
     ----------
     name : str or pathlib.Path
-        YAML file, see docs/arm-file.md, or name of a shipped arm (``paper``, ``real_arm``).
+        YAML file, see docs/arm-file.md, or name of a shipped arm (``paper``, ``ur10``).
 
     Returns
     -------
