@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from fault_injection import motion_range, simulate
 from scipy.signal import lfilter
-from serial_arms import blamed, shoulder_arm, simulated, watch, without
+from scipy.spatial.transform import Rotation
+from serial_arms import blamed, shoulder_arm, simulated, watch, with_rates, without
 from simulated_runs import Push, Run, simulated_run
 from watched import Watched
 
@@ -16,8 +17,9 @@ from lpv.core.serial_arm.chain import compile_chain
 from lpv.core.serial_arm.description import Uncertainty
 from lpv.core.serial_arm.diagnosis.alarms import SensorState
 from lpv.core.serial_arm.diagnosis.bank import CONTACT_TIME
+from lpv.core.serial_arm.diagnosis.contact import force_levers, tip_jacobians
 from lpv.core.serial_arm.diagnosis.estimator import DISTRUST
-from lpv.core.serial_arm.diagnosis.information import ROBUST
+from lpv.core.serial_arm.diagnosis.information import ROBUST, recent
 from lpv.core.serial_arm.diagnosis.published_rates import rate_lag
 from lpv.core.serial_arm.diagnosis.sampler import CONTRARY, HIDDEN, NOISY, SPIKE, STEP, new_sampler
 from lpv.core.serial_arm.diagnosis.sampling import push_sample
@@ -264,17 +266,48 @@ SHAPES = {
 }
 
 
+def pushed(arm, shape, seed, span, force):
+    """A run with a force on the tip [N] from 3.5 s on, of such a shape and time [s]."""
+    run, chain = simulated(arm, seed=seed, duration=7.0), compile_chain(arm)
+    torque = np.array([jacobian(chain, q)[:3].T @ force for q in run.position])
+    place = (run.stamps * 1e-9 - 3.5) / span
+    run.samples[:, 2] -= SHAPES[shape](place)[:, None] * torque
+    return run
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize('shape', SHAPES)
 @pytest.mark.parametrize('seed', [1, 2])
 def test_slow_push_or_force_on_the_tip_is_no_fault_of_an_encoder(shape, seed):
     arm, rng = shoulder_arm(), np.random.default_rng(seed)
-    run = simulated(arm, seed=seed, duration=7.0)
-    place = (run.stamps * 1e-9 - 3.5) / rng.uniform(0.5, 3.0)
-    force, chain = rng.normal(size=3) * 15.0, compile_chain(arm)
-    torque = np.array([jacobian(chain, q)[:3].T @ force for q in run.position])
-    run.samples[:, 2] -= SHAPES[shape](place)[:, None] * torque
+    run = pushed(arm, shape, seed, rng.uniform(0.5, 3.0), 15.0 * rng.normal(size=3))
     assert named(watch(arm, run)) <= {''}
+
+
+def test_given_a_force_on_six_joints_at_once_then_it_is_one_cause_and_no_encoder_is_blamed():
+    """Six torques that each may be anything cost more than a drift of the elbow's encoder."""
+    arm = with_rates(load_arm('ur10'), 'derived')
+    assert named(watch(arm, pushed(arm, 'step', 44, 1.145, (9.61, 6.97, 4.90)))) <= {''}
+
+
+def test_given_any_frame_of_the_base_then_levers_are_the_largest_plausible_forces_on_the_tip():
+    arm, last, largest = shoulder_arm(), 10, np.array([40.0, 30.0, 8.0])
+    monitor, chain = watch(arm, simulated(arm, duration=3.0)), compile_chain(arm)
+    window = monitor.estimator.window
+    tips = monitor.estimator.call(tip_jacobians, chain, window, last)
+    poses = window.poses[recent(window, last)]
+    np.testing.assert_allclose(tips, [jacobian(chain, q)[:3] for q in poses], atol=1e-12)
+    levers = force_levers(tips, largest)
+    effects = levers / largest
+    # Such a force in any direction gives no joint more than its own largest torque.
+    assert np.linalg.norm(effects, axis=1).max() == pytest.approx(1.0)
+    # Its axes are independent of each other in what they do.
+    together = np.einsum('kin,kjn->ij', effects, effects)
+    np.testing.assert_allclose(together - np.diag(np.diag(together)), 0.0, atol=1e-9)
+    turn = Rotation.from_euler('xyz', [0.4, -1.1, 2.0]).as_matrix()
+    found = np.abs(force_levers(turn @ tips, largest))
+    np.testing.assert_allclose(found, np.abs(levers), atol=1e-9)
+    assert not force_levers(0.0 * tips, largest).any()
 
 
 def named_by_jumps(arm, samples):
