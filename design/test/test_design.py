@@ -414,6 +414,6 @@ def test_given_a_serial_arm_when_verified_or_designed_then_all_is_told(call, ref
     assert call('verify', 'ur10').out == out
     assert 'the certificate holds' in out and 'region: every position, joint rates to' in out
     for other in ('panda', 'paper'):
-        assert refused('', 'verify', gains, '--arm', other)
+        assert refused('designed for another arm', 'verify', gains, '--arm', other)
     options = '--arm', 'ur10', '--requirement', 'paper', '--out', tmp_path / 'gains.yaml'
     assert refused('--requirement', 'design', *options)

@@ -510,8 +510,9 @@ def test_given_a_command_when_run_again_then_the_last_holds(bag, replayed, tmp_p
     assert refused('numbers are those of the design', *again, '--gains', forged)
     both = tmp_path / 'both'
     assert refused('--report: must be another', *line(bag, both, report=both)) and not both.exists()
-    for wrong in (('--from', 5, '--to', 2), ('--topic', '/nowhere')):  # the last result stays
-        assert refused('', *again, *wrong) and raw(tmp_path / 'result') == raw(answers)
+    for told, *wrong in (('--to', '--from', 5, '--to', 2), ("'/nowhere'", '--topic', '/nowhere')):
+        # The last result stays.
+        assert refused(told, *again, *wrong) and raw(tmp_path / 'result') == raw(answers)
     assert refused('--loop: is for a bag that is played', *again, '--loop')
     assert refused('no such bag', 'replay', tmp_path / 'typo', *line(bag, tmp_path / 'result')[2:])
     assert sorted(p.name for p in tmp_path.iterdir() if p.name[0] == '.') == []
@@ -566,7 +567,7 @@ def test_given_bad_input_when_run_then_it_is_said(bag, tmp_path, monkeypatch, ca
     for named, *mistakes in (
         ('nothing', {'bag': 'nothing'}),
         ('is not a bag: a rosbag2 folder', {'bag': 'tuned.yaml'}),
-        ('', {'arm': 'unknown_arm'}, {'arm': 'nothing.yaml'}),
+        ('neither a file nor shipped', {'arm': 'unknown_arm'}, {'arm': 'nothing.yaml'}),
         ('nothing.yaml', *({name: 'nothing.yaml'} for name in ('gains', 'inject', 'parameters'))),
         ('paper.yaml', {'gains': PAPER_ARM}, {'parameters': PAPER_ARM}),
         ('arm', {'arm': BRINGUP / 'arms' / 'real_arm.yaml'}),
@@ -592,9 +593,9 @@ def test_given_bad_input_when_run_then_it_is_said(bag, tmp_path, monkeypatch, ca
     # Nor are gains for an arm without a region.
     bag, arm = record_crane(tmp_path / 'bag', crane_run()), crane_file(tmp_path)
     arguments = ['replay', bag, '--arm', arm, '--out', tmp_path / 'out']
-    assert refused('', *arguments, '--gains', 'paper.yaml')
     told = 'lpv: is missing: gains are designed for its region'
-    assert refused(told, *arguments, '--requirement', 'paper')
+    for option, name in (('--gains', 'paper.yaml'), ('--requirement', 'paper')):
+        assert refused(told, *arguments, option, name)
     call(*arguments)
     assert not (tmp_path / 'out' / 'gains.yaml').exists()
     told = "--arm: is needed: the bag is of arm 'crane', which is not a shipped one"

@@ -140,4 +140,5 @@ def test_given_no_attack_or_guarantee_when_attacked_then_it_is_refused(
     for one in (ur10, paper_arm):
         with pytest.raises(ConfigError, match='model_error'):
             Attacker(replace(one, uncertainty=Uncertainty()), 1.0)
-    assert refused('', 'falsify', '--arm', 'ur10', '--gains', 'paper')
+    told = 'ur10: lpv: is missing: gains are designed for its region'
+    assert refused(told, 'falsify', '--arm', 'ur10', '--gains', 'paper')
