@@ -243,13 +243,14 @@ def test_given_events_of_two_sensors_when_gathered_then_each_alarm_is_one_episod
 
 def test_given_stops_and_lost_sensors_when_reported_then_each_has_its_stretch(paper_arm, shown):
     reports = told(observer={100: 'observing', 500: CONFUSED, 600: CONFUSED, 800: 'observing'})
-    record = made_up(lost=[(0, 2), (200, 300)], stopped=[(400, 700)])
-    lost, stop, odd = phases(record, paper_arm, reports)
+    record = made_up(lost=[(0, 2), (200, 300)], stopped=[(320, 340), (400, 700)])
+    lost, first, stop, odd = phases(record, paper_arm, reports)
     assert lost == Phase('not diagnosable', 'link1_angle', 0.2, 0.3)
+    assert first == Phase('safe stop', '', 0.32, 0.34)
     assert (stop, odd) == (Phase('safe stop', '', 0.4, 0.7), Phase('inconsistent', '', 0.5, 0.8))
     page, meaning = shown(record, reports), 'the tracker commanded the drives to brake'
     assert ['safe stop', 'arm', '0.400', '0.700', '0.300', meaning] in rows(page)
-    assert 'Alarms were not recorded; 1 safe stop, 1 inconsistent phase.' in text(page)
+    assert 'Alarms were not recorded; 2 safe stops, 1 inconsistent phase.' in text(page)
     assert 'come once a second' in text(page)
     line = [cells for cells in rows(page) if cells[0] == 'link1_angle'][-1]
     assert line[-1] == '10.0 %'

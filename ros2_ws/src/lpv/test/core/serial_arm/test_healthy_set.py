@@ -125,15 +125,33 @@ def test_given_no_payload_in_the_file_when_told_then_guarantees_hold_without_a_l
     assert 'payload up to 0 kg' in observer['values']['guarantee']
 
 
-def test_given_an_alarm_of_a_joint_that_slides_when_told_then_tenths_of_a_millimetre_count():
-    event = Alarm(AlarmEvent.RAISED, 0, 'lift', 0, 0, 4e-4, 1e-4, 'bias', 0.9, unit='m')
-    assert 'lift: error +0.0004 m (bound 0.0001 m), bias' in alarm_text.describe(event)
-    unknown = replace(event, bound=np.inf)
-    assert 'lift: error of unknown size, bias' in alarm_text.describe(unknown)
+SURE, OVER = ', confidence 90.0% (statistical)', {'event': AlarmEvent.CLEARED}
+TOLD = [
+    ({}, f'ALARM, lift: error +0.0004 m (bound 0.0001 m), bias{SURE}'),
+    ({'bound': np.inf}, f'ALARM, lift: error of unknown size, bias{SURE}'),
     # No bound is not a perfect estimate, nor is a small one.
-    for size, said in ((0.0, ''), (4e-5, ' (bound 0.0001 m)'), (1.01e-4, ' (bound 0.0002 m)')):
-        told = alarm_text.describe(replace(event, bound=size))
-        assert f'lift: error +0.0004 m{said}, bias' in told
+    ({'bound': 0.0}, f'ALARM, lift: error +0.0004 m, bias{SURE}'),
+    ({'bound': 4e-5}, f'ALARM, lift: error +0.0004 m (bound 0.0001 m), bias{SURE}'),
+    ({'bound': 1.01e-4}, f'ALARM, lift: error +0.0004 m (bound 0.0002 m), bias{SURE}'),
+    ({'event': AlarmEvent.UPDATED, 'kind': 'drift', 'rate': 0.07, 'unit': 'rad',
+      'confidence': 0.9994}, 'alarm updated, lift: error +0.000 rad (bound 0.001 rad), '
+     'drift of +0.070 rad/s, confidence 99.9% (statistical)'),
+    ({'kind': 'rate_bias', 'unit': 'rad', 'size': -0.05, 'confidence': 0.9996},
+     'ALARM, lift: error -0.050 rad/s (bound 0.001 rad/s), of the rate sensor, '
+     'confidence > 99.9% (statistical)'),
+    ({'basis': GUARANTEED}, 'ALARM, lift: error +0.0004 m (bound 0.0001 m), bias, '
+     'guaranteed: no healthy arm inside its file reads this'),
+    (OVER, 'alarm cleared, lift: bias is over, remaining error +0.0004 m (bound 0.0001 m)'),
+    ({'kind': 'dropout'}, 'ALARM, lift: no readings (dropout)'),
+    ({'kind': 'dropout', **OVER}, 'alarm cleared, lift: no readings (dropout) is over'),
+]  # fmt: skip
+"""Changes of the alarm of an offset of a joint that slides, and its words."""
+
+
+@pytest.mark.parametrize(('changes', 'told'), TOLD)
+def test_given_an_alarm_when_told_then_an_operator_reads_what_how_much_and_how_sure(changes, told):
+    event = Alarm(AlarmEvent.RAISED, 0, 'lift', 0, 0, 4e-4, 1e-4, 'bias', 0.9, unit='m')
+    assert alarm_text.describe(replace(event, **changes)) == told
 
 
 def test_given_faults_or_ranges_when_told_then_rate_basis_and_thresholds_are_said():

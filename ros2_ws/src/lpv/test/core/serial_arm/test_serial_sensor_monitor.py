@@ -13,6 +13,7 @@ from serial_arms import shoulder_arm, simulated, without
 
 from lpv import ConfigError, DiagnosisParameters, Fault, SampleError, load_arm
 from lpv.core.monitoring.alarm_text import UNUSABLE
+from lpv.core.monitoring.message_fields import ERROR, diagnostic_fields
 from lpv.core.monitoring.serial_monitor import _MISNAMED, SerialSensorMonitor
 from lpv.core.monitoring.stamp_gate import JUMP
 from lpv.core.serial_arm.chain import compile_chain
@@ -315,13 +316,18 @@ def test_given_messages_or_gains_when_taken_then_names_decide_or_misfits_are_ref
 
 def test_given_a_fault_that_is_hardly_known_when_confirmed_then_it_is_not_trusted():
     run = simulated(ARM, Fault('encoder3', 'stuck', 4.3), duration=6.0)
-    for limit, trusted in ((0.1, False), (1.5, True)):
+    for limit, trusted in ((1.5, True), (0.1, False)):
         monitor = SerialSensorMonitor('/uio', ARM, DiagnosisParameters(safe_stop_bound=limit))
         _, answers = observe(run.stamps, run.samples, monitor)
         ((_, alarm),) = answers.events
         named = run.stamps >= alarm.detected
         assert alarm.kind == 'stuck' and answers.state.trustworthy[named][0]
         assert answers.state.trustworthy[named].all() == trusted
+    k = np.flatnonzero(~answers.state.trustworthy & named)[0]
+    rows = answers.state[k], answers.fault[k]
+    observer, _, _, third = diagnostic_fields('', ARM, *rows, {}, '', ())
+    assert observer['message'] == 'a confirmed fault cannot be compensated safely: stop'
+    assert (observer['level'], third['message']) == (ERROR, 'fault confirmed')
 
 
 def test_given_smaller_sigmas_when_retuned_then_bounds_shrink_and_hold_what_is_undecided():
