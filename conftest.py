@@ -4,6 +4,7 @@ import contextlib
 import importlib.util
 import os
 import re
+import shutil
 import signal
 import sys
 from dataclasses import replace
@@ -166,6 +167,24 @@ def refused(call):
         return True
 
     return run
+
+
+@pytest.fixture(scope='module')
+def browser(tmp_path_factory):
+    """A headless Chromium with an empty profile of its own."""
+    playwright = pytest.importorskip('playwright.sync_api', reason='playwright is not installed')
+    names = os.environ.get('CHROMIUM'), shutil.which('chromium'), shutil.which('chromium-browser')
+    program = next(filter(None, names), None)
+    if program is None:
+        pytest.skip('there is no Chromium: apt-get install chromium, or set CHROMIUM')
+    flags = '--headless --no-sandbox --disable-gpu --disable-quic --no-first-run'
+    flags += ' --disable-background-networking --disable-component-update --disable-sync'
+    options = {'executable_path': program, 'args': flags.split(), 'headless': True}
+    profile = str(tmp_path_factory.mktemp('profile'))
+    with playwright.sync_playwright() as driver:
+        started = driver.chromium.launch_persistent_context(profile, **options)
+        yield started
+        started.close()
 
 
 @pytest.fixture

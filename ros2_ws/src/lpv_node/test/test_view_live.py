@@ -1,9 +1,7 @@
 """The live view on a running graph: in a browser, over the Foxglove protocol, as ROS topics."""
 
 import asyncio
-import os
 import re
-import shutil
 import socket
 import time
 from concurrent.futures import ThreadPoolExecutor
@@ -21,9 +19,6 @@ from lpv_msgs.srv import ClearFaults
 pytestmark = pytest.mark.ros
 ARM = f'arm_file:={BRINGUP / "arms" / "paper.yaml"}'
 GAINS = BRINGUP / 'gains' / 'paper.yaml'
-FLAGS = '--headless --no-sandbox --disable-gpu --disable-quic --no-first-run'
-FLAGS += ' --disable-background-networking --disable-component-update --disable-sync'
-BROWSER = os.environ.get('CHROMIUM') or shutil.which('chromium') or shutil.which('chromium-browser')
 
 
 class View:
@@ -90,26 +85,12 @@ def live(tmp_path_factory):
     assert 'Traceback' not in view.log
 
 
-@pytest.fixture(scope='module')
-def browser(tmp_path_factory):
-    """A headless Chromium with an empty profile of its own."""
-    playwright = pytest.importorskip('playwright.sync_api', reason='playwright is not installed')
-    if not BROWSER:
-        pytest.skip('there is no Chromium: apt-get install chromium, or set CHROMIUM')
-    options = {'executable_path': BROWSER, 'args': FLAGS.split(), 'headless': True}
-    options['viewport'] = {'width': 1280, 'height': 900}
-    profile = str(tmp_path_factory.mktemp('profile'))
-    with playwright.sync_playwright() as driver:
-        started = driver.chromium.launch_persistent_context(profile, **options)
-        yield started
-        started.close()
-
-
 @pytest.fixture
 def page(live, browser):
     """The page; it must neither complain nor load anything from elsewhere."""
     complaints, asked = [], []
     tab, bad = browser.new_page(), ('error', 'warning')
+    tab.set_viewport_size({'width': 1280, 'height': 900})
     tab.on('console', lambda m: complaints.append(m.text) if m.type in bad else None)
     tab.on('pageerror', lambda error: complaints.append(str(error)))
     tab.on('request', lambda request: asked.append(request.url))

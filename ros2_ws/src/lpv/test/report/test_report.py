@@ -4,7 +4,6 @@ import base64
 import hashlib
 import html
 import io
-import os
 import re
 import shutil
 from dataclasses import replace
@@ -36,7 +35,6 @@ from lpv_design.guarantee import guarantee
 
 pytestmark = pytest.mark.slow
 
-BROWSER = os.environ.get('CHROMIUM') or shutil.which('chromium') or shutil.which('chromium-browser')
 ARM_FILE = str(BRINGUP / 'arms' / 'paper.yaml')
 SCENARIO = str(BRINGUP / 'scenarios' / 'two_faults.yaml')
 PAPER = {'x1': 0.006, 'x2': 0.002, 'x3': 0.024, 'x4': 0.047, 'f1': 0.006, 'f2': 0.002,
@@ -335,26 +333,24 @@ def test_given_a_run_of_three_joints_when_reported_then_its_alarm_is_listed(tmp_
     assert 'Mean squared errors (MISE, eq. (70))' not in text(page)
 
 
-def test_given_a_browser_when_the_report_is_printed_then_all_is_there_in_black_on_white(report):
-    playwright = pytest.importorskip('playwright.sync_api', reason='playwright is not installed')
-    if not BROWSER:
-        pytest.skip('there is no Chromium: apt-get install chromium, or set CHROMIUM')
-    asked, complaints = [], []
-    with playwright.sync_playwright() as driver:
-        browser = driver.chromium.launch(executable_path=BROWSER, args=['--no-sandbox'])
-        page = browser.new_page(viewport={'width': 1100, 'height': 900}, color_scheme='dark')
-        page.on('request', lambda request: asked.append(request.url))
-        page.on('console', lambda message: complaints.append(message.text))
-        page.goto(report.as_uri())
-        widths = page.evaluate('[...document.images].map(i => i.naturalWidth)')
-        page.emulate_media(media='print')
-        look = page.evaluate("""() => {
-            const body = getComputedStyle(document.body);
-            return [body.color, body.backgroundColor,
-                    getComputedStyle(document.querySelector('nav')).display,
-                    document.documentElement.scrollWidth <= innerWidth]}""")
-        pdf = page.pdf(prefer_css_page_size=True)
-        browser.close()
+def test_given_a_browser_when_the_report_is_printed_then_all_is_there_in_black_on_white(
+    report, browser
+):
+    asked, complaints, page = [], [], browser.new_page()
+    page.set_viewport_size({'width': 1100, 'height': 900})
+    page.emulate_media(color_scheme='dark')
+    page.on('request', lambda request: asked.append(request.url))
+    page.on('console', lambda message: complaints.append(message.text))
+    page.goto(report.as_uri())
+    widths = page.evaluate('[...document.images].map(i => i.naturalWidth)')
+    page.emulate_media(media='print')
+    look = page.evaluate("""() => {
+        const body = getComputedStyle(document.body);
+        return [body.color, body.backgroundColor,
+                getComputedStyle(document.querySelector('nav')).display,
+                document.documentElement.scrollWidth <= innerWidth]}""")
+    pdf = page.pdf(prefer_css_page_size=True)
+    page.close()
     assert len(widths) == 6 and min(widths) > 1000
     assert [url for url in asked if not url.startswith('data:')] == [report.as_uri()]
     assert complaints == [] and look == ['rgb(0, 0, 0)', 'rgb(255, 255, 255)', 'none', True]
@@ -388,10 +384,12 @@ def test_given_bad_input_when_run_then_it_is_said(run, gains_file, tmp_path, mon
     for bag, changes, named in (
         ('nothing', '', 'nothing: there is no such bag'),
         ('.', '', 'metadata.yaml'),
-        *((run, f'--arm {name}', '') for name in ('unknown_arm', 'nothing.yaml')),
+        *(
+            (run, f'--{what}', 'is neither a file nor shipped')
+            for what in ('arm unknown_arm', 'arm nothing.yaml', 'scenario unknown_scenario')
+        ),
         (run, f'--arm {SCENARIO}', 'two_faults.yaml'),
         (run, '--arm renamed_joint.yaml', "'elbow' is not in joint_states, which has joint1"),
-        (run, '--scenario unknown_scenario', ''),
         (run, '--scenario ur10', 'waypoints[0]'),
         (run, f'--scenario {ARM_FILE}', 'paper.yaml'),
         (run, '--gains nothing.yaml', 'nothing.yaml'),
