@@ -12,7 +12,7 @@ from simulated_recordings import is_physical
 from ur10e_twin import recording as recording_of_twin
 from ur10e_twin import ur10e
 
-from lpv.bag.run.csv_import import CsvError, load_column_map
+from lpv.bag.run.csv_import import ColumnMap, CsvError, load_column_map
 from lpv.core.serial_arm.arm_file import load_arm, parse_arm, save_arm, to_mapping
 from lpv.core.serial_arm.description import JointFriction, JointLimits, LinkInertia
 from lpv.core.serial_arm.urdf_chain import read_urdf_chain
@@ -293,7 +293,9 @@ def test_given_a_two_link_arm_when_identified_then_it_is_no_worse_than_published
     assert load_arm(tmp_path / 'arm.yaml') == result.arm
 
 
-def test_given_a_file_when_read_then_its_joints_are_found_or_named(tmp_path, recording):
+def test_given_a_file_when_read_then_its_joints_are_found_or_named(
+    tmp_path, recording, monkeypatch
+):
     motion = recording.time, recording.position, recording.velocity
     bag = write_measurements(tmp_path / 'bag', ('three', 'one', 'two'), *motion, recording.effort)
     read = read_recording(bag, NAMES)
@@ -327,6 +329,16 @@ def test_given_a_file_when_read_then_its_joints_are_found_or_named(tmp_path, rec
         (tmp_path / 'b.csv').write_text('\n'.join([header, text, *lines]))
         with pytest.raises(CsvError, match=reason):
             read_recording(tmp_path / 'b.csv', NAMES)
+    (tmp_path / 'b.csv').write_text(header.replace('tau3', 'other'))
+    with pytest.raises(IdentificationError, match="no column looks like the effort of 'three'"):
+        read_recording(tmp_path / 'b.csv', NAMES)
+    columns = ColumnMap('time', 's', 0.0, {'one': ('q1', '', 'tau1')}, {'one': 'rad'})
+    with pytest.raises(IdentificationError, match="map has no joint 'two'; it has one"):
+        read_recording(tmp_path / 'a.csv', NAMES[:2], columns=columns)
+    monkeypatch.setattr('lpv.identify.recordings.recording.MOST_SAMPLES', 100)
+    for path in (bag, tmp_path / 'a.csv'):
+        with pytest.raises(IdentificationError, match='has more than 100 samples'):
+            read_recording(path, NAMES)
 
 
 def cleaned(recording, **changes):
@@ -392,6 +404,11 @@ def test_given_bad_samples_or_stamps_when_cleaned_then_few_are_mended_many_refus
     effort[::2] = np.nan
     with pytest.raises(IdentificationError, match='only 50 %'):
         cleaned(recording, effort=effort)
+    with pytest.raises(IdentificationError, match='has 1 samples of the joints'):
+        cleaned(recording.rows(slice(1)))
+    for rates, told in ((np.nan, 'are missing, they are computed'), (0.0, 'stand still while')):
+        mended = cleaned(recording, velocity=np.full_like(effort, rates))
+        assert mended.velocity is None and mended.warnings[0].startswith(f'rates {told}')
     jitter = 0.004 * np.random.default_rng(0).uniform(-1, 1, len(recording.time))
     mended = cleaned(recording, time=recording.time + jitter)
     assert 'count of the samples' in mended.warnings[0] and np.ptp(np.diff(mended.time)) < 1e-9
