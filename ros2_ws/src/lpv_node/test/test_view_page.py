@@ -56,8 +56,8 @@ def seen(model, t=1.0, now=0.0, **fields):
     return model
 
 
-def take(model, now=0.0):
-    hello = {**model.hello(), 'token_needed': False}
+def take(model, now=0.0, **changes):
+    hello = {**model.hello(), 'token_needed': False, **changes}
     return ('open',), ('take', hello), ('take', model.frame(now))
 
 
@@ -154,11 +154,8 @@ def test_given_an_arm_in_space_when_drawn_then_its_tip_is_on_the_path_that_it_is
     model = LiveModel(crane())
     model.take('state_estimate', state_estimate(1.0, (0.3, 0.8, -0.5)), 0.0)
     *_, tip = model.frame(0.0)['arms']['estimated']
-    hello = {**model.hello(), 'token_needed': False}
-    hello['scene'] = {'path': [[0.0, 0.0, 0.0], tip], 'obstacle': None}
-    calls = show(('open',), ('take', hello), ('take', model.frame(0.0)), ('show', 'arm', 'calls'))[
-        0
-    ]
+    scene = {'path': [[0.0, 0.0, 0.0], tip], 'obstacle': None}
+    (calls,) = show(*take(model, scene=scene), ('show', 'arm', 'calls'))
     drawn = calls[len(calls) - calls[::-1].index(['clearRect', 0, 0, 400, 300]) :]
     ends = [place for name, *place in drawn if name == 'lineTo']
     *_, dot = [place for name, *place in drawn if name == 'arc' and place[2] == 7]
@@ -172,9 +169,8 @@ def test_given_a_page_when_it_is_printed_then_it_is_drawn_for_paper_before(show,
 
 
 def test_given_many_joints_when_shown_then_each_line_of_the_legend_is_another(show, model):
-    hello = {**model.hello(), 'token_needed': False}
-    hello |= {'joints': list('abcdefgh'), 'units': [['rad', 'N m']] * 8}
-    (items,) = show(('open',), ('take', hello), ('show', 'joints', 'children'))
+    eight = {'joints': list('abcdefgh'), 'units': [['rad', 'N m']] * 8}
+    (items,) = show(*take(model, **eight)[:2], ('show', 'joints', 'children'))
     keys = [item['children'][0] for item in items]
     looks = {(k['attributes']['class'], *k['children'][0]['attributes'].values()) for k in keys}
     assert len(looks) == 8

@@ -33,11 +33,13 @@ START, FUTURE = 1_700_000_000 * 10**9, 2**31 * 10**9 - 1
 RAISED = [(AlarmEvent.RAISED, 'encoder2')]
 
 
-@cache
+stepped = cache(lambda size, duration: simulated(ARM, replace(LARGE, size=size), duration=duration))
+
+
 def recorded(size=0.05, duration=2.0):
     """Stamps, samples and true positions with a step on the second encoder after 1 s."""
-    run = simulated(ARM, replace(LARGE, size=size), duration=duration)
-    return run.stamps + 5, run.samples, run.position
+    stamps, samples, position = stepped(size, duration)
+    return stamps + 5, samples.copy(), position
 
 
 def observe(stamps, samples, monitor=None):
@@ -78,7 +80,6 @@ def test_given_rare_samples_or_bursts_with_losses_between_then_it_is_told(kept, 
 
 def test_given_readings_in_degrees_then_their_unit_is_asked_for():
     stamps, samples, _ = recorded(duration=4.0)
-    samples = samples.copy()
     samples[:, :2] = np.degrees(samples[:, :2])
     _, answers = observe(stamps, samples)
     told = [text for _, text in answers.warnings if 'another unit' in text]
@@ -100,7 +101,7 @@ def test_given_balances_that_stay_away_then_no_fault_is_confirmed_and_a_reset_en
 
 def test_given_samples_that_are_lost_repeated_or_no_numbers_then_each_is_counted():
     """Their answers do not depend on the parts they come in: `test_any_data`."""
-    stamps, samples, _ = (one.copy() for one in recorded())
+    stamps, samples, _ = recorded()
     samples[100, 0, 1] = samples[150, 1, 0] = np.nan
     samples[700:800, 2] = np.nan
     stamps[200] = stamps[199]
@@ -117,7 +118,6 @@ def test_given_samples_that_are_lost_repeated_or_no_numbers_then_each_is_counted
 
 def test_given_readings_that_end_when_reported_then_it_is_said_why_none_can_be_used():
     stamps, samples, _ = recorded()
-    samples = samples.copy()
     samples[500:, 0] = np.nan
     _, answers = observe(stamps, samples)
     row, (status, *_) = answers.reports[-1]
@@ -186,7 +186,7 @@ def test_given_a_step_when_found_then_the_alarm_names_it_and_its_reading_is_corr
 @pytest.mark.parametrize('lacking', ['all', 'one', 'weight'])
 def test_given_no_efforts_or_none_of_the_weight_then_no_offsets_are_diagnosable(lacking):
     stamps, samples, position = recorded()
-    samples, arm, said = samples.copy(), ARM, 'no efforts: '
+    arm, said = ARM, 'no efforts: '
     if lacking == 'all':
         samples[:, 2] = np.nan
     elif lacking == 'one':
@@ -284,7 +284,7 @@ def test_given_readings_of_0_that_joints_may_have_then_they_are_read():
 
 
 def test_given_no_rates_then_they_are_differences_and_independent_ones_are_waited_for():
-    stamps, samples = recorded()[0], recorded()[1].copy()
+    stamps, samples, _ = recorded()
     samples[:, 1] = np.nan
     _, answers = observe(stamps, samples)
     assert answers.state.mode[0] == Mode.NO_ESTIMATE and not answers.has_fault[0]
@@ -331,9 +331,10 @@ def test_given_a_fault_that_is_hardly_known_when_confirmed_then_it_is_not_truste
 
 
 def test_given_smaller_sigmas_when_retuned_then_bounds_shrink_and_hold_what_is_undecided():
-    monitor, answers = observe(*recorded()[:2])
+    stamps, samples, _ = recorded()
+    monitor, answers = observe(stamps, samples)
     monitor.retune(replace(DiagnosisParameters(), sigmas=2.0))
-    _, after = observe(recorded()[0][-1:] + 2_000_000, recorded()[1][-1:], monitor)
+    _, after = observe(stamps[-1:] + STEP, samples[-1:], monitor)
     undecided = np.array([0.0, 0.05, 0.0])  # whether the step was the end of a fault
     bound = undecided + 0.5 * (answers.fault.bound[-1] - undecided)
     np.testing.assert_allclose(after.fault.bound[0], bound, rtol=1e-2)
@@ -358,7 +359,7 @@ def test_given_a_drift_with_its_derived_rate_when_followed_then_onset_size_and_r
     ((800,), 0), (range(700, 710), 0), (range(700, 710), 5 * JUMP), (range(700, 900, 2), STEP),
 ])  # fmt: skip
 def test_given_stamps_of_other_clocks_then_their_samples_alone_are_stale(odd, rows, step):
-    stamps, samples = recorded()[0].copy(), recorded()[1]
+    stamps, samples, _ = recorded()
     stamps[list(rows)] = odd + step * np.arange(len(rows))
     monitor, answers = observe(stamps, samples)
     modes = np.where(np.isin(np.arange(len(stamps)), rows), Mode.STALE, Mode.OBSERVING)
@@ -386,7 +387,7 @@ def test_given_a_fault_when_the_clock_is_set_then_trust_waits_for_it(start):
 
 
 def test_given_a_fault_that_ended_while_the_clock_was_set_then_it_is_cleared():
-    stamps, samples, _ = (one.copy() for one in recorded(LARGE.size, 6.0))
+    stamps, samples, _ = recorded(LARGE.size, 6.0)
     samples[1000:, 0, 1] -= LARGE.size
     stamps[1000:] += HOUR
     _, answers = observe(stamps, samples)
