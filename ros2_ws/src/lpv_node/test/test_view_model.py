@@ -185,8 +185,9 @@ def test_given_safe_stops_when_framed_then_they_are_counted_with_the_last_reason
 
 def test_given_the_events_of_one_alarm_when_listed_then_they_are_one_row():
     alarms = AlarmList()
+    assert not alarms.changed
     alarms.add(alarm(RAISED, 1.01, kind='unclassified', size=0.29))
-    assert alarms.rows()[0]['ended'] is None
+    assert alarms.changed and alarms.rows()[0]['ended'] is None
     alarms.add(alarm(UPDATED, 1.5))
     alarms.add(alarm(RAISED, 2.0, onset=1.9, sensor=SENSORS[1]))
     alarms.add(alarm(CLEARED, 3.0, size=0.0, bound=0.0))
@@ -194,14 +195,21 @@ def test_given_the_events_of_one_alarm_when_listed_then_they_are_one_row():
     assert (first['kind'], first['size'], first['ended']) == ('bias', 0.3, 3.0)
     assert first['detected'] == 1.01, 'shaded from there on'
     assert (second['sensor'], second['onset'], second['ended']) == (SENSORS[1], 1.9, None)
+    alarms.add(alarm(CLEARED, 5.0, onset=4.0))  # nobody saw its beginning
+    assert [row['onset'] for row in alarms.rows()] == [1.0, 1.9, 4.0]
+    alarms.changed = False
+    alarms.forget_clock()
+    assert alarms.changed
 
 
 def test_given_an_observer_that_was_reset_when_it_reports_no_alarm_then_the_row_ends():
     alarms = AlarmList()
     alarms.add(alarm(RAISED, 1.01))
     for t, is_on, ended in ((1.02, False, None), (2.0, True, None), (2.5, False, 2.5)):
+        alarms.changed = False
         alarms.follow(fault_estimate(t, alarm=(is_on, False)))
         assert alarms.rows()[0]['ended'] == ended, 'topics may come in any order'
+        assert alarms.changed == (ended is not None)
     alarms.add(alarm(CLEARED, 2.5))
     assert len(alarms.rows()) == 1, 'the event came after the estimate'
 
