@@ -85,6 +85,7 @@ class UioNode(ManagedNode):
         note.start()
         try:
             self._monitor.warm_up()
+            self._monitor.warm_up_faults()
         finally:
             note.cancel()
         self._messages = OutputMessages(self._arm, self._monitor.answer_type)
@@ -141,9 +142,12 @@ class UioNode(ManagedNode):
 
     def begin(self) -> None:
         """Subscribe."""
-        # The diagnosis needs every sample, also those that come late, or many at once.
+        # The diagnosis needs every sample, also those that come late, many at once, or during a
+        # decision; older ones would be stale.
+        waiting = round(STALE_AFTER / self._arm.sample_time)
+        qos = stream(self.lockstep, max(waiting, MAX_DELAY))
         self._measurement_in = self.create_subscription(
-            JointState, 'joint_states', self._on_measurement, stream(self.lockstep, MAX_DELAY)
+            JointState, 'joint_states', self._on_measurement, qos
         )
         if self._from_command:
             qos = stream(self.lockstep)

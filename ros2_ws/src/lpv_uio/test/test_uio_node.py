@@ -235,7 +235,8 @@ def test_given_a_driver_that_names_no_joints_at_first_when_it_does_then_they_are
         assert arm.recover() <= RECOVERY and arm.state.last.mode < int(Mode.STALE)
 
 
-def test_given_a_driver_that_publishes_many_at_once_then_each_measurement_is_answered(arm):
+@pytest.mark.parametrize('count', [40, 240])  # a driver's burst; during a decision of 0.48 s
+def test_given_many_measurements_at_once_when_observed_then_each_is_answered(arm, count):
     arm.node.begin()
     publisher = arm.node.create_publisher(JointState, 'joint_states', 50)
     limit = time.monotonic() + 60.0
@@ -243,11 +244,20 @@ def test_given_a_driver_that_publishes_many_at_once_then_each_measurement_is_ans
         assert time.monotonic() < limit, 'no subscription'
         time.sleep(0.01)
     arm.outputs['state'].take()
-    for _ in range(40):
+    for _ in range(count):
         publisher.publish(arm.good())
-    while len(arm.outputs['state'].sent) < 40 and time.monotonic() < limit:
+    while len(arm.outputs['state'].sent) < count and time.monotonic() < limit:
         rclpy.spin_once(arm.node, timeout_sec=0.1)
-    assert len(arm.outputs['state'].sent) == 40
+    assert len(arm.outputs['state'].sent) == count
+
+
+def test_given_an_arm_when_configured_then_the_first_fault_has_nothing_to_compile(monkeypatch):
+    warmed = []
+    monkeypatch.setattr(
+        serial_monitor.SerialSensorMonitor, 'warm_up_faults', lambda self: warmed.append(self)
+    )
+    with node_of(UioNode, arm_file='paper') as node:
+        assert warmed == [node._monitor]
 
 
 def alarm(event=AlarmEvent.RAISED, sensor='link2_angle', kind='bias'):
