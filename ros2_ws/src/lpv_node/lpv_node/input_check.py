@@ -5,7 +5,6 @@ import time
 from collections.abc import Iterable, Sequence, Sized
 from itertools import chain
 
-import numpy as np
 from rclpy.node import Node
 
 from lpv.core.control.estimate_check import REST_SHARE
@@ -41,11 +40,10 @@ class OneSender:
     # for a while: then a sensor has failed, or the first sender has ended.
 
     def __init__(self, arm: SerialArm) -> None:
-        self._names, self._limit = arm.joint_names, np.array(arm.velocity_limit)
+        self._names, self._limit = arm.joint_names, arm.velocity_limit
         self._stamp: int | None = None  # of the last one that was believed [ns]
         self._heard = 0.0  # when it came [s]
-        self._position = np.zeros(len(self._names))
-        self._rate = np.zeros(len(self._names))
+        self._position = self._rate = [0.0] * len(self._names)
         self._others: dict[frozenset[str], float] = {}  # joints, when they were heard last [s]
 
     def others(self, now: float | None = None) -> int:
@@ -72,19 +70,24 @@ class OneSender:
         readings = dict(zip(names, position))
         if len(names) != len(position) or not all(name in readings for name in self._names):
             return True  # of other joints, or not a measurement at all: the monitor says so
-        found = np.array([readings[name] for name in self._names])
+        found = [readings[name] for name in self._names]
         step = math.inf if self._stamp is None else (stamp - self._stamp) / NANOSECONDS
         several = publishers > 1 and publishers - self.others(now) > 1
         if several and self._stamp is not None and now - self._heard < _WAIT:
-            most = _NEAR + (abs(self._rate) + REST_SHARE * self._limit) * min(step, MAX_GAP)
-            jumps = np.any(abs(found - self._position) > most)  # NaN, a dropout, does not
+            way = min(step, MAX_GAP)
+            jumps = any(  # NaN, a dropout, does not
+                abs(new - last) > _NEAR + (abs(rate) + REST_SHARE * limit) * way
+                for new, last, rate, limit in zip(found, self._position, self._rate, self._limit)
+            )
             if jumps or not 0.0 < step <= MAX_GAP:
                 return False
         self._stamp, self._heard = stamp, now
-        found = np.where(np.isfinite(found), found, self._position)
+        found = [new if math.isfinite(new) else last for new, last in zip(found, self._position)]
         if 0.0 < step <= MAX_GAP:
-            most = self._limit * step  # a rate over a tiny step may be no number
-            self._rate = np.clip(found - self._position, -most, most) / step
+            self._rate = [  # over a tiny step it may be no number
+                max(-limit, min(limit, (new - last) / step))
+                for new, last, limit in zip(found, self._position, self._limit)
+            ]
         self._position = found
         return True
 

@@ -28,7 +28,8 @@ class OutputMessages:
         self.record = np.zeros(1, answer_type)
         self._bytes = self.record.view(f'V{answer_type.itemsize}')
         self._words, self._last = self.record.view('f8'), np.zeros(1, answer_type)
-        self._numbers = _number_places(answer_type)
+        self._of_state = _number_places(answer_type, 'state')
+        self._of_fault = _number_places(answer_type, 'fault')
         state, fault = _views(self.record['state']), _views(self.record['fault'])
         fault['alarm'] = fault['alarm'].view(bool)
         joints, sensors = list(arm.joint_names), list(arm.sensor_names)
@@ -44,13 +45,15 @@ class OutputMessages:
     def fill(self, record: np.void) -> bool:
         """Copy an answer's record; whether all its numbers are finite, see `degrade`."""
         self._bytes[0] = record.tobytes()  # not field by field
-        if not (np.isfinite(self._words[self._numbers]).all() or self.degrade()):
+        is_known = np.isfinite(self._words[self._of_state]).all()
+        if not is_known or np.isnan(self._words[self._of_fault]).any():
+            self.degrade()
             return False
         self._last[0] = self.record[0]
         return True
 
-    def degrade(self) -> bool:
-        """Replace values that are not finite by the last ones; False if there were any.
+    def degrade(self) -> None:
+        """Replace values that are not finite by the last ones.
 
         The estimate is then not trustworthy; it is stale where it is its own values, and so are
         sensors whose values are replaced.  An infinite bound or threshold is none: nothing is
@@ -71,7 +74,6 @@ class OutputMessages:
                 wrong = True
         if wrong:
             state['trustworthy'] = False
-        return not wrong
 
     def alarm(self, stamp: int, fields: Fields) -> bytes:
         """lpv_msgs/FaultAlarm with a stamp [ns] and fields, for a publisher."""
@@ -88,13 +90,10 @@ def _views(record: np.ndarray) -> Fields:
     return {name: value[0] if value.ndim > 1 else value for name, value in fields.items()}
 
 
-def _number_places(kind: np.dtype, start: int = 0) -> list[int]:
-    """Places of the float64 numbers of a record, in words of eight bytes."""
-    places: list[int] = []
-    for field, offset in (value[:2] for value in (kind.fields or {}).values()):
-        begin = start + offset
-        if field.base == np.float64:
-            places += range(begin // 8, (begin + field.itemsize) // 8)
-        elif field.names:
-            places += _number_places(field, begin)
-    return places
+def _number_places(kind: np.dtype, part: str) -> np.ndarray:
+    """Places of the float64 numbers of a part of a record, in words of eight bytes."""
+    record = np.zeros(1, kind)
+    for name, values in _views(record[part]).items():
+        if values.dtype == np.float64:
+            record[part][name] = 1.0
+    return np.flatnonzero(record.view('f8'))

@@ -66,7 +66,8 @@ class Answers:
     Attributes
     ----------
     records : recarray, shape (n,)
-        Of `answer_type`; ``plain`` is the same, of which a part is taken in a tenth of the time.
+        Of `answer_type`; ``plain`` is the same, of which a part is taken in a tenth of the time,
+        and ``bytes``, shape (n, size), its memory.
     answered, has_fault, restarted, inconsistent, state, fault : ndarray, shape (n,)
         Fields of the records.
     rows : AnswerRows
@@ -83,6 +84,7 @@ class Answers:
         memory = np.zeros(count + 1, kind)
         records: Any = memory[:count].view(np.recarray)
         self.records, self.plain, self.rows = records, memory[:count], answer_rows(memory)
+        self.bytes = memory.view('u1').reshape(-1, kind.itemsize)[:count]
         self.answered, self.has_fault = records.answered, records.has_fault
         self.restarted, self.inconsistent = records.restarted, records.inconsistent
         self.state, self.fault = records.state, records.fault
@@ -91,3 +93,7 @@ class Answers:
         self.events: list[tuple[int, Alarm]] = []
         self.reports: list[tuple[int, list[dict[str, Any]]]] = []
         self.warnings: list[tuple[int, str]] = []
+
+    def record(self, row: int) -> np.ndarray:
+        """A copy of one answer, shape (1,), in a fifth of the time that a copy of fields takes."""
+        return self.bytes[row].copy().view(self.plain.dtype)

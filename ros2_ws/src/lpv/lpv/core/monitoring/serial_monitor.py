@@ -135,7 +135,6 @@ class SerialSensorMonitor:
         self.answer_type = answer_type(self._joints)
         self._call = Entries()
         self._one = Answers(self.answer_type, 1)  # of `take`
-        self._bytes = self._one.plain.view('u1')
         self._order = JointOrder(arm.joint_names)
         rates = [joint.sensors.rates for joint in arm.joints]
         self._independent = np.array([rate == 'independent' for rate in rates])
@@ -263,7 +262,8 @@ class SerialSensorMonitor:
             raise
         if torque is not None:
             measured[2] /= self._torque_gain  # in the unit of efforts, as all that is taken
-        one, self._bytes[:] = self._one, 0
+        one = self._one
+        one.bytes.fill(0)
         one.stamps[0] = stamp
         for found in (one.events, one.reports, one.warnings):
             found.clear()
@@ -272,7 +272,7 @@ class SerialSensorMonitor:
             return None
         return Answer(
             stamp,
-            one.plain.copy()[0],
+            one.record(0)[0],
             one.reports[0][1] if one.reports else None,
             [event for _, event in one.events],
             [text for _, text in one.warnings],
@@ -324,8 +324,8 @@ class SerialSensorMonitor:
         position, velocity = self._turns.continued(stamps, samples[:, 0], samples[:, 1])
         self._rates.leave_out(position, velocity)
         idle = self._efforts.leave_out(position, samples[:, 2])
-        samples[:, 0] = map_rows(self._to_sensors, position)
-        samples[:, 1] = map_rows(self._to_sensors, velocity)
+        samples[:, 0], samples[:, 1] = position, velocity
+        samples[:, :2] = map_rows(self._to_sensors, samples[:, :2])
         begin = 0
         while begin < len(stamps):
             if begin == idle:
@@ -489,7 +489,7 @@ class SerialSensorMonitor:
                 answers.events += [(first, event) for event in events]
                 if events:
                     self._monitor.progress['next_report'] = NEVER
-        self._newest = answers.plain[end - 1 : end].copy()
+        self._newest = answers.record(end - 1)
 
     @property
     def parts(self) -> tuple[SteppedMonitor, Answering]:

@@ -47,18 +47,21 @@ class Turns:
         """
         if len(stamps) == 0 or not self._endless.any():
             return position, velocity
-        seen = np.concatenate([self._last[None], position])
-        at = np.vstack([self._stamps, np.broadcast_to(stamps[:, None], position.shape)])
+        shape = len(stamps) + 1, len(self._endless)
+        seen, at = np.empty(shape), np.empty(shape, np.int64)
+        seen[0], seen[1:] = self._last, position
+        at[0], at[1:] = self._stamps, stamps[:, None]
         with np.errstate(invalid='ignore'):
             finite = np.abs(seen) < FARTHEST
-        if not finite.all():  # the last one that there was
-            place = np.where(finite, np.arange(len(seen))[:, None], 0)
-            place = np.maximum.accumulate(place, axis=0)
-            seen, at = (np.take_along_axis(one, place, axis=0) for one in (seen, at))
-        jump = np.diff(seen, axis=0)
+            if not finite.all():  # the last one that there was
+                place = np.where(finite, np.arange(len(seen))[:, None], 0)
+                place = np.maximum.accumulate(place, axis=0)
+                seen = np.take_along_axis(seen, place, axis=0)
+                at = np.take_along_axis(at, place, axis=0)
+            jump = seen[1:] - seen[:-1]
+            size = np.abs(jump)
+            wraps = (size > 0.5 * TURN) & (size < 1.5 * TURN) & self._endless
         self._last, self._stamps = seen[-1], at[-1]
-        with np.errstate(invalid='ignore'):
-            wraps = (np.abs(jump) > 0.5 * TURN) & (np.abs(jump) < 1.5 * TURN) & self._endless
         if not (wraps.any() or self._turns.any()):
             return position, velocity
         time = np.maximum((stamps[:, None] - at[:-1]) / NANOSECONDS, self._period)
