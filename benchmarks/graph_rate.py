@@ -6,6 +6,10 @@ process and with one process for each; goals are 60 % and 70 % of the empty grap
 500 Hz and 1 kHz: from the time of a sample to its torque, as a fourth process sees it, samples
 without a torque, and the CPU share of each node, without and with recorder and live view.  Load of
 the machine is printed with each figure: ratios of one run are worth more than rates.
+
+Before that, and alone with `--observer`: CPU time of a measurement in the observer's node, of arms
+with 2, 6 and 7 joints, beside the relay of the empty graph; what takes messages from the network,
+or sends them to readers, is left out of both.
 """
 
 import argparse
@@ -26,9 +30,12 @@ import rclpy
 import yaml
 from node_processes import NAMESPACE, Graph, command, words
 from rclpy.node import Node
+from rclpy.serialization import deserialize_message, serialize_message
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
+from simulated_runs import simulated_run
 
+from lpv import load_arm
 from lpv.core.support.discovery import stay_local
 from lpv.core.support.resources import bringup_file
 from lpv.core.support.timestamps import set_stamp, to_nanoseconds
@@ -49,6 +56,8 @@ WARM_UP = 4.0
 _LOST = 2.0
 """After so long a first sample without an answer is sent again [s]."""
 DOMAIN = 83
+ARMS = ('real_arm', 'ur10', 'panda')
+"""Whose measurements the observer's node takes."""
 NODES = ('tracker', 'uio', 'simulator')
 
 
@@ -340,15 +349,53 @@ def real_time(rate: int, extras: bool, folder: Path) -> str:
     )
 
 
+def measurements(name: str) -> list[bytes]:
+    """JointStates of a shipped arm that moves, as they come."""
+    arm, found = load_arm(name), []
+    for stamp, sample in zip(*simulated_run(arm, (1 + ROUNDS) * SAMPLES * arm.sample_time)[:2]):
+        fields = dict(zip(('position', 'velocity', 'effort'), sample))
+        message = JointState(name=list(arm.joint_names), **fields)
+        set_stamp(message.header.stamp, int(stamp) + 10**9)
+        found.append(serialize_message(message))
+    return found
+
+
+def measurement_cost(name: str) -> str:
+    """One line about the CPU time of a measurement in the observer's node."""
+    rclpy.init(args=words(f'arm_file:={name}'))
+    node, relay = node_classes()['uio'](), EMPTY['uio']()
+    node.setup()
+    found, every = [], np.array(measurements(name), object).reshape(-1, SAMPLES)
+    for part in every:
+        for answer in (node._on_measurement, relay._answer):
+            begin = time.process_time()
+            for data in part:
+                answer(deserialize_message(data, JointState))
+            found.append((time.process_time() - begin) / SAMPLES)
+    ours, empty = np.array(found).reshape(-1, 2)[1:].T  # the horizon is full
+    node.destroy_node()
+    relay.destroy_node()
+    rclpy.shutdown()
+    ratio, ours, empty = (np.median(one) for one in (ours / empty, 1e6 * ours, 1e6 * empty))
+    return (
+        f'{name}: {ours:.0f} us a measurement, relay {empty:.0f}: {ratio:.1f} '
+        f'(median of {ROUNDS} rounds; {load()})'
+    )
+
+
 def load() -> str:
     """Load of the machine in the last minute."""
     return f'load {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores'
 
 
-def measure() -> None:
+def measure(only_observer: bool) -> None:
     """Measure, and print one line for each figure."""
     stay_local()
     os.environ['ROS_DOMAIN_ID'] = str(DOMAIN)
+    for name in ARMS:
+        print(measurement_cost(name), flush=True)
+    if only_observer:
+        return
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         for split, where, goal in ((False, 'one process', 60), (True, 'three processes', 70)):
@@ -375,9 +422,10 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument('role', nargs='?', choices=('empty', 'ours'), help=argparse.SUPPRESS)
     parser.add_argument('nodes', nargs='*', help=argparse.SUPPRESS)
+    parser.add_argument('--observer', action='store_true', help='a measurement of the observer')
     arguments, _ = parser.parse_known_args()
     if arguments.role is None:
-        measure()
+        measure(arguments.observer)
         return
     use_profiles()
     rclpy.init(args=sys.argv)
