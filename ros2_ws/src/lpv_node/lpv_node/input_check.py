@@ -9,7 +9,7 @@ from rclpy.node import Node
 
 from lpv.core.control.estimate_check import REST_SHARE
 from lpv.core.serial_arm.description import SerialArm
-from lpv.core.support.limits import MAX_GAP, PATIENCE
+from lpv.core.support.limits import MAX_GAP, PATIENCE, QUIET
 from lpv.core.support.timestamps import NANOSECONDS
 
 
@@ -51,6 +51,11 @@ class OneSender:
         now = time.monotonic() if now is None else now
         self._others = {one: at for one, at in self._others.items() if now - at < PATIENCE}
         return len(self._others)
+
+    @property
+    def is_heard(self) -> bool:
+        """Whether a measurement of the arm was believed in the last second."""
+        return time.monotonic() - self._heard < QUIET
 
     def accept(
         self,

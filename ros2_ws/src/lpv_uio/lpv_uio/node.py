@@ -311,7 +311,8 @@ class UioNode(ManagedNode):
     def _report(self, now: int) -> None:
         """Say on /diagnostics who publishes measurements, and what was known before this start."""
         senders, others = self.get_publishers_info_by_topic('joint_states'), self._sender.others()
-        own = len(senders) - others
+        # Others that have just left are still counted.
+        own = max(len(senders) - others, min(len(senders), self._sender.is_heard))
         level, text = (OK, 'one publisher') if own > 0 else (WARN, 'no publisher')
         text += f', and {others} of other joints' if others else ''
         if own > 1:

@@ -216,13 +216,15 @@ def test_given_a_gripper_on_the_topic_when_observed_then_it_is_no_error(arm, mon
     refused = 'messages are refused: measurement without all joints of the arm'
     assert told.pop() == (WARN, f'3 publishers of joint_states: /a, /b, /finger; {refused}')
     monkeypatch.setattr(arm.node._refusals, '_last', -np.inf)  # long ago
-    for count in (2, 1):
+    for count, heard in ((2, True), (1, True), (1, False)):  # the gripper has left, or the driver
+        if not heard:
+            monkeypatch.setattr(arm.node._sender, '_heard', -np.inf)
         there = [None] * count
         monkeypatch.setattr(arm.node, 'get_publishers_info_by_topic', lambda _, one=there: one)
         arm.node._report(arm.stamp)
-    words = ('one publisher', 'no publisher')
+    words = ('one publisher', 'one publisher', 'no publisher')
     assert told == [
-        (level, f'{text}, and 1 of other joints') for level, text in zip((OK, WARN), words)
+        (level, f'{text}, and 1 of other joints') for level, text in zip((OK, OK, WARN), words)
     ]
 
 
