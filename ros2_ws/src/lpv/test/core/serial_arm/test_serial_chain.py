@@ -130,6 +130,8 @@ NO_ARM = {
     "'a' has no lower limit": ('lower="-1" upper="2"', 'lower="2" upper="-1"'),
     "'pan' follows 'a'": (END, BRANCH.replace('<axis', '<mimic joint="a"/><axis'), {}, 'tool'),
     'mass element; .*Link .one': ('<mass value="3"/>', ''),
+    r'400\.2 m: .* are these millimetres\?': ('xyz="0.4 0 0"', 'xyz="400 0 0"'),
+    r'1\d\d\.\d m: .*centres of mass': ('xyz="0 0.2 0"', 'xyz="0 200 0"'),
     'missing ixy .*Link .one': ('ixy="0.001"', ''),
     'found 2 elements .*Link .two': ('<origin xyz="0 0.2 0"/>', '<origin xyz="0 0.2"/>'),
     "'pan' .* name the link at": (END, BRANCH, {'finger': 0.02}),
