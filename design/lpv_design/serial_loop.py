@@ -94,7 +94,8 @@ def certify_loop(arm: SerialArm, request: LoopRequest) -> tuple[LoopGains, list[
     if largest <= 0.0:
         raise InfeasibleError(
             f'no decay even at rest: payload {arm.uncertainty.largest_payload:g} kg is '
-            f'{model.payload:.3g} of the inertia, model error {request.model_error:g}; state less'
+            f'{model.payload:.3g} of the inertia, viscous friction {model.damping:.3g}/s of it, '
+            f'model error {request.model_error:g}; state less, or ask for a larger bandwidth'
         )
     gains = _with_motion(arm, gains, largest, request.rate_share)
     gains = _with_error(arm, gains)
@@ -236,7 +237,9 @@ def _with_error(arm: SerialArm, gains: LoopGains) -> LoopGains:
     """Bound of the tracking error, on a part of the region."""
     share = min(_ERROR_SHARE, 0.5 * gains.rate_share)
     numbers = gains.numbers(arm, share)
-    tried = (_error_proof(gains, numbers, float(decay)) for decay in np.geomspace(0.02, 0.8, 12))
+    # On the larger region V decays as fast as the first one, so that there is a level.
+    decays = np.geomspace(min(0.02, gains.motion.decay / gains.bandwidth), 0.8, 12).tolist()
+    tried = (_error_proof(gains, numbers, decay) for decay in decays)
     found = [one for one in tried if one is not None]
     if not found:
         raise InfeasibleError('no bound of the tracking error')

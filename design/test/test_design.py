@@ -346,6 +346,19 @@ def test_given_an_arm_when_designed_then_what_is_certified_follows_payload_and_r
 
 
 @pytest.mark.slow
+def test_given_much_friction_when_designed_then_the_error_of_a_slow_loop_is_bounded(short):
+    joints = [
+        replace(one, friction=replace(one.friction, viscous=12.0 * one.friction.viscous))
+        for one in short.joints
+    ]
+    unloaded = replace(short.uncertainty, payload=0.0)
+    arm = replace(short, joints=tuple(joints), uncertainty=unloaded)
+    gains, _ = serial_loop.certify_loop(arm, serial_loop.LoopRequest())
+    gains.require(arm)
+    assert gains.motion.decay < 0.1 and gains.error.bound.max() < 10.0
+
+
+@pytest.mark.slow
 def test_given_light_links_with_much_friction_when_errors_are_bounded_then_bounds_are_proved(found):
     """The solver ends just outside of its constraints where friction is large."""
     numbers = LoopNumbers(
