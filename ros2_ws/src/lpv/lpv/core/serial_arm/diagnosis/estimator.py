@@ -181,7 +181,7 @@ def weigh(window: Window, null: Posterior, last: int) -> None:
 
 
 @njit_in_place
-def _recall(window: Window, null: Posterior) -> None:
+def recall(window: Window, null: Posterior) -> None:
     """What is remembered of the arm: offsets may have been others then, and are eliminated.
 
     A slow drift of an encoder would be learned, else, as an offset that has always been there.
@@ -208,7 +208,7 @@ def _recall(window: Window, null: Posterior) -> None:
 def solve(window: Window, null: Posterior) -> None:
     """Least squares over horizon, past and prior."""
     m, n = null.mean.shape[0], null.sigma.shape[0]
-    _recall(window, null)
+    recall(window, null)
     for a in range(1 + m):
         for b in range(m):
             null.total[a, b] = null.recalled[a, b]
@@ -582,10 +582,15 @@ class OffsetEstimator:
         self._solve()
 
     def restart(self) -> None:
-        """Begin a new horizon after a gap; what the old one said of arm and offsets is kept."""
-        last = len(self)
-        for window in (self.window, self._slow):
+        """Begin a new horizon after a gap; what the old one said of the arm is kept.
+
+        Offsets may be others from now on, and what is remembered knows of one for each sensor.
+        """
+        last, m = len(self), len(self.prior)
+        for window, null in ((self.window, self.posterior), (self._slow, self.level)):
             add_balances(window, window.past)
+            self.call(recall, window, null)
+            window.past[:, -m:], window.past[1:, 0] = null.recalled, null.recalled[0]
             forget_newest(window, last)
 
     def replace_last(self, blocks: FloatArray) -> None:

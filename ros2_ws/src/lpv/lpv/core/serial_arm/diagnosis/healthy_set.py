@@ -27,7 +27,14 @@ from lpv.core.serial_arm.diagnosis.healthy_balance import (
     generator_count,
     new_healthy_balance,
 )
-from lpv.core.serial_arm.diagnosis.information import COUNT, NEXT, Window, recent, slot
+from lpv.core.serial_arm.diagnosis.information import (
+    COUNT,
+    NEXT,
+    Window,
+    add_balances,
+    recent,
+    slot,
+)
 from lpv.core.serial_arm.diagnosis.learning import payload_share
 from lpv.core.serial_arm.diagnosis.parameter_set import parameter_set, payload_generator
 from lpv.core.serial_arm.diagnosis.stuck import LINEAR
@@ -181,9 +188,13 @@ class HealthySet:
 
     def restart(self) -> None:
         """Begin anew after a gap; called before the estimator's own restart."""
-        window = self._estimator.window
+        window, null, n = self._estimator.window, self._estimator.posterior, self._estimator.joints
         for back in range(int(window.counters[COUNT]) - 1, -1, -1):
             remember(self.ring, window, slot(window, back), True, 1.0)
+        # As the estimator does, with what it is about to remember.
+        total, right = window.past.copy(), self.ring.right
+        add_balances(window, total)
+        right[n:], right[:n] = _eliminated(total, null) @ right, 0.0
         # Intervals that are not complete are forgotten.
         for part in (self._balance.momentum, self._balance.rising, self._balance.falling):
             part[:] = 0.0
@@ -201,7 +212,7 @@ class HealthySet:
         places = recent(window, last)[::-1]
         weighted = window.weights[places][:, :, None] * window.rows[places][:, :, -m:]
         map_ = -(weighted.reshape(-1, m) @ gain.T).T.reshape(n + 1, last, n)
-        from_past = -gain[:, n:] @ _eliminated(window, null)
+        from_past = -gain[:, n:] @ _eliminated(window.past, null)
         response = map_.reshape(n + 1, -1) @ self._effects[places].reshape(last * n, -1)
         response += from_past @ self.ring.right
         slack = np.einsum('fbi,bi->f', np.abs(map_), self._doubts[places, 0])
@@ -246,9 +257,12 @@ class HealthySet:
         return np.asarray(total + ((twice * self._derived * self._mean_noise) ** 2).sum((1, 2)))
 
 
-def _eliminated(window: Window, null: Posterior) -> FloatArray:
-    """T of `_recall`: right sides on the parameters, with offsets eliminated, (m - n, m)."""
+def _eliminated(past: FloatArray, null: Posterior) -> FloatArray:
+    """T of `recall`: right sides on the parameters, with offsets eliminated, (m - n, m).
+
+    ``past`` is that of `Window`.
+    """
     n, m = len(null.sigma), len(null.mean)
-    known = window.past[1:, -m:]
+    known = past[1:, -m:]
     offsets = known[:n, :n] + np.diag(null.least[:n])
     return np.hstack([-np.linalg.solve(offsets, known[:n, n:]).T, np.eye(m - n)])
