@@ -47,13 +47,16 @@ class SampleCounters:
         'restarts: the clock was set, or no measurement came for more than 1 s'
     )
     refused_stamps: int = _count_of('measurements whose stamp fits no stream, ignored')
-    not_finite: int = _count_of('measurements with NaN or infinite values')
+    not_finite: int = _count_of(
+        'measurements with NaN or infinite values, or without rates that the arm file calls '
+        'independent'
+    )
     implausible: int = _count_of('measurements with values that this arm cannot reach')
     gaps: int = _count_of('interruptions after which the balances begin anew')
     unread: int = _count_of(
         'measurements of zeros alone, or of no number, as of a driver that reads no hardware'
     )
-    without_effort: int = _count_of('measurements without efforts that had been there before')
+    without_effort: int = _count_of('measurements without efforts of all joints')
     repeated: int = _count_of('measurements that the driver repeated while the arm moved')
 
 

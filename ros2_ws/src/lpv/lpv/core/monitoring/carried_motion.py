@@ -67,7 +67,8 @@ def accelerate(
 ) -> None:
     """Write accelerations of the readings by the model, for an interval [s] with torques [N m].
 
-    ``position`` and ``velocity``, shape (n,), are those of the sensors.
+    ``position`` and ``velocity``, shape (n,), are those of the sensors.  A torque that is not known
+    (NaN) is taken for what the motion needs.
     """
     q, v, a = motion.joints[0], motion.joints[1], motion.joints[2]
     load, friction = motion.joints[3], motion.joints[4]
@@ -85,7 +86,7 @@ def accelerate(
         dry, steep = row[COULOMB] + row[LOAD] * abs(load[i]), row[SLOPE]
         slope = row[VISCOUS] + dry * steep * (2.0 / math.pi) / (1.0 + (steep * v[i]) ** 2)
         motion.matrix[i, i] += interval * slope  # linearly implicit: friction at rest is stiff
-        a[i] = torque[i] - load[i] - friction[i]
+        a[i] = torque[i] - load[i] - friction[i] if np.isfinite(torque[i]) else 0.0
     if solve_positive(motion.matrix, a):
         map_vector(motion.to_sensors, a, motion.acceleration)
 

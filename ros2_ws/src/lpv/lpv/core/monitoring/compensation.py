@@ -150,7 +150,8 @@ def fill_answers(
     ``work.applied`` by the caller.
 
     Answered are samples ``part[0]`` to ``part[1] - 1``; row ``first`` is that of ``samples[0]``.
-    Samples, shape (N, 3, n), are readings of the sensors, their rates, efforts; stamps are in [ns].
+    Samples, shape (N, 3, n), are readings of the sensors, their rates, efforts, NaN where missing;
+    stamps are in [ns].
     """
     for k in range(part[0], part[1]):
         row = first + k
@@ -159,9 +160,12 @@ def fill_answers(
         if work.stamp[0] != NEVER:
             interval = (stamps[k] - work.stamp[0]) / NANOSECONDS
             follows = interval < LONGEST_STEP * flags.sample_time
+        mode = _HOLDING
+        for effort in samples[k, 2]:
+            mode = flags.mode if np.isfinite(effort) else mode
         if follows:
             work.motion.acceleration[:] = 0.0
-            if flags.mode != _HOLDING and work.bridged.any():  # torques hold the weight
+            if mode != _HOLDING and work.bridged.any():  # torques hold the weight
                 accelerate(work.motion, work.position, work.velocity[0], samples[k, 2], interval)
         for i in range(known.fault.shape[0]):
             fault, confirmed = known.fault[i] + elapsed * known.rate[i], 0.0
@@ -184,7 +188,7 @@ def fill_answers(
         map_vector(work.motion.to_joints, samples[k, 0], rows.measured[row])
         map_vector(work.motion.to_joints, samples[k, 1], rows.measured_velocity[row])
         rows.answered[row], rows.has_fault[row] = True, True
-        rows.inconsistent[row], rows.mode[row] = flags.inconsistent, flags.mode
+        rows.inconsistent[row], rows.mode[row] = flags.inconsistent, mode
         rows.trustworthy[row] = flags.trustworthy and stamps[k] <= flags.until
         work.stamp[0] = stamps[k]
 

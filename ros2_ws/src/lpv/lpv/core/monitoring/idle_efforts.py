@@ -3,6 +3,7 @@
 import numpy as np
 
 from lpv.core.serial_arm.chain import FloatArray
+from lpv.core.serial_arm.diagnosis.sampler import ROUNDING
 
 
 def without_efforts(
@@ -14,7 +15,7 @@ def without_efforts(
     needs none.  Positions and efforts have shape (samples, n); both answers (samples,).
     """
     moved = (np.abs(position - start) > least).any(1)
-    given = (np.abs(effort) > 0.0).any(1) & np.isfinite(position).any(1)
+    given = (np.abs(effort) > ROUNDING).any(1) & np.isfinite(position).any(1)
     return np.logical_or.accumulate(moved), np.logical_or.accumulate(given)
 
 

@@ -3,7 +3,6 @@
 All functions are compiled; what they remember is in arrays and records.
 """
 
-import math
 from typing import NamedTuple
 
 import numpy as np
@@ -14,13 +13,12 @@ from lpv.core.serial_arm.diagnosis.information import ROBUST
 from lpv.core.serial_arm.diagnosis.sampler import BEFORE_STOP, DELAY
 from lpv.core.serial_arm.turns import FARTHEST
 from lpv.core.support.jit import njit_in_place
-from lpv.core.support.limits import LARGEST
 from lpv.core.support.records import memory, new_record, record_type
 from lpv.core.support.timestamps import NANOSECONDS
 
-_LARGEST = (FARTHEST, 1e4, LARGEST)
-"""Readings, rates and efforts beyond are no values of an arm [rad], [rad/s], [unit]; readings of
-joints that turn without end count from the last one."""
+_LARGEST = (FARTHEST, 1e4)
+"""Readings and rates beyond are no values of an arm [rad], [rad/s]; readings of joints that turn
+without end count from the last one."""
 
 
 class Driver(NamedTuple):
@@ -95,7 +93,6 @@ class Stream(NamedTuple):
     stamp: int  # of the last usable sample [ns]
     newest: int  # of all samples [ns]
     gap: int  # longest interval [ns]
-    blind: bool  # efforts are missing
     independent: BoolArray  # rates of a sensor of their own
     endless: BoolArray  # readings of joints that turn without end
     reading: FloatArray  # of the last usable sample [rad]
@@ -108,10 +105,10 @@ def is_plausible(
 ) -> bool:
     """Whether readings, and rates of sensors of their own, are finite and of an arm."""
     for i in range(sample.shape[1]):
-        reading, rate, effort = abs(sample[0, i]), abs(sample[1, i]), abs(sample[2, i])
+        reading, rate = abs(sample[0, i]), abs(sample[1, i])
         if endless[i]:
             reading = abs(sample[0, i] - last[i])
-        if not reading <= _LARGEST[0] or rate > _LARGEST[1] or effort > _LARGEST[2]:
+        if not reading <= _LARGEST[0] or rate > _LARGEST[1]:
             return False
         if independent[i] and not rate <= _LARGEST[1]:
             return False
@@ -168,7 +165,7 @@ def _is_repeated(stream: Stream, stamp: int, sample: FloatArray) -> bool:
     for part in range(3):
         for i in range(sample.shape[1]):
             change = abs(sample[part, i] - last.measured[part, i])
-            equal = change == 0.0 or (part == 1 and np.isnan(change))  # no rate is none
+            equal = change == 0.0 or (part != 0 and np.isnan(change))  # no rate is none
             same, idle = same and (equal or part == 2), idle and (equal or part != 2)
             if part != 1 and change > 0.0:
                 last.grain[part // 2, i] = min(last.grain[part // 2, i], change)
@@ -199,10 +196,7 @@ def count_regular(stream: Stream, stamps: IntArray, samples: FloatArray, begin: 
             return k - begin
         if not newest < stamps[k] <= newest + JUMP or stamps[k] > last + stream.gap:
             return k - begin
-        finite = True
-        for effort in samples[k, 2]:
-            finite = finite and math.isfinite(effort)
-        if finite == stream.blind or not is_plausible(
+        if not is_plausible(
             samples[k],
             stream.independent,
             stream.endless,

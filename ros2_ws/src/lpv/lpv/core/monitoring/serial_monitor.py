@@ -43,7 +43,7 @@ from lpv.core.serial_arm.sensor_map import map_rows, mixing
 from lpv.core.serial_arm.turns import Turns
 from lpv.core.support.errors import SampleError
 from lpv.core.support.jit import Entries, compile_ahead
-from lpv.core.support.limits import MAX_GAP, PATIENCE, SMALL, STALE_AFTER
+from lpv.core.support.limits import LARGEST, MAX_GAP, PATIENCE, SMALL, STALE_AFTER
 from lpv.core.support.timestamps import NANOSECONDS, NEVER
 from lpv.core.uio.certificate.gains import Gains
 from lpv.core.uio.unknown_input_observer import CHOICES, UnknownInputObserver, uio_answers
@@ -72,7 +72,8 @@ _LOST = (
     'a second'
 )
 _UNITS = 'readings are in another unit, or of another arm; {}'
-_NO_EFFORT = f'no efforts{{}}: {_JUMPS_ALONE}'
+_NO_EFFORT = f'no efforts: {_JUMPS_ALONE}'
+_SOME_EFFORTS = 'no efforts of {}: offsets and drifts show in those of other joints alone'
 _NO_WEIGHT = f'efforts leave out the weight: {_JUMPS_ALONE}'
 
 
@@ -84,8 +85,9 @@ class SerialSensorMonitor:
     is published, and what its reachable set excludes is a certified alarm.
 
     Degraded modes: without rates, those of sensors that have none of their own are differences of
-    the readings; without efforts, jumps are found and offsets are NOT_DIAGNOSABLE; a sample with
-    values that are not finite is answered with the last estimate, marked STALE.
+    the readings; without efforts, jumps are found and offsets are NOT_DIAGNOSABLE; without those of
+    some joints, those of others go on; a sample with other values that are not finite is answered
+    with the last estimate, marked STALE.
 
     Parameters
     ----------
@@ -198,8 +200,6 @@ class SerialSensorMonitor:
         """Estimates and alarms of a monitor that has just been reset."""
         self._gate = StampGate()
         self._turns = Turns(self.arm)
-        self._blind: bool | None = None  # whether efforts are missing
-        self._without = ''  # of which joints, if not of all
         self._stamp = NEVER  # of the last usable sample [ns]
         self._reading = np.zeros(self._joints)  # of that sample [rad]
         self._repeats = new_repeats(self._joints)
@@ -318,7 +318,8 @@ class SerialSensorMonitor:
     ) -> None:
         """Use measurements, whose stamps are there."""
         stamps, samples = answers.stamps, answers.samples
-        samples[:, 0], samples[:, 1], samples[:, 2] = position, velocity, effort
+        samples[:, 0], samples[:, 1] = position, velocity
+        samples[:, 2] = np.where(np.abs(effort) <= LARGEST, effort, np.nan)  # others are none
         unread = np.empty(len(stamps), bool)
         self._call(find_unread, stamps, samples, self._small, self._read, unread)
         position, velocity = self._turns.continued(stamps, samples[:, 0], samples[:, 1])
@@ -364,11 +365,11 @@ class SerialSensorMonitor:
 
     def _regular(self, answers: Answers, begin: int) -> int:
         """Number of samples from ``begin`` on that can be used as they are, after the last one."""
-        if self._blind is None or self._gate.last is None or self._older > LONGEST_STEP:
+        if self._gate.last is None or self._older > LONGEST_STEP:
             return 0
         stream = Stream(
-            self._stamp, self._gate.last, self._gap, self._blind, self._independent,
-            self._endless, self._reading, self._repeats,
+            self._stamp, self._gate.last, self._gap, self._independent, self._endless,
+            self._reading, self._repeats,
         )  # fmt: skip
         return int(self._call(count_regular, stream, answers.stamps, answers.samples, begin))
 
@@ -408,8 +409,7 @@ class SerialSensorMonitor:
         """
         if not self._is_new(stamp):
             return False
-        missing, wrong = ~np.isfinite(sample[2]), ''
-        blind = bool(missing.any())
+        wrong = ''
         if self._repeats.own['stalled'][0]:
             wrong = 'repeated'
         elif unread:
@@ -417,21 +417,10 @@ class SerialSensorMonitor:
         elif not is_plausible(sample, self._independent, self._endless, self._reading):
             needed = np.concatenate([sample[0], sample[1, self._independent]])
             wrong = 'implausible' if np.isfinite(needed).all() else 'not_finite'
-        elif blind and not self._blind and self._stamp != NEVER:
-            self.counters.without_effort += 1
-            if stamp - self._stamp <= LONGEST_UNUSABLE:
-                self._answer_stale(stamp, row)
-                return False
         if wrong:
             setattr(self.counters, wrong, getattr(self.counters, wrong) + 1)
             self._answer_stale(stamp, row)
             return False
-        if blind is not self._blind:
-            self._blind = self._monitor.blind = blind
-            names = ', '.join(compress(self.arm.joint_names, missing))
-            self._without = '' if missing.all() else f' of {names}'
-            self._monitor.begin_again()
-            self._monitor.watch_from(stamp)
         was_back = self._older > LONGEST_STEP  # the clock, and samples are missing since
         if was_back:
             self._monitor.begin_again()
@@ -478,9 +467,7 @@ class SerialSensorMonitor:
         self._stamp, self._reading = int(stamps[-1]), samples[-1, 0].copy()
         self._gate.follow(self._stamp)
         self._older = 0
-        if self._blind:
-            samples[:, 2] = 0.0
-
+        self.counters.without_effort += int(np.isnan(samples[:, 2]).any(axis=1).sum())
         for first, until, stamp in self._monitor.run(stamps, samples, answers.rows, begin):
             if stamp is None:
                 self._report_due(answers, first, until)
@@ -610,8 +597,11 @@ class SerialSensorMonitor:
         position = state.compensated_position.tolist()
         if text := other_unit(self.arm, position, position):
             return _UNITS.format(text)
+        missing = monitor.missing_efforts
+        if missing.all():
+            return _NO_EFFORT
         if not monitor.uses_balances:
-            return _NO_EFFORT.format(self._without) if self._blind else _NO_WEIGHT
+            return _NO_WEIGHT
         if not monitor.balances and gaps - self._gaps_before > LONGEST_STEP:
             return _TOO_RARE
         if gaps - self._gaps_reported > LONGEST_STEP:
@@ -620,6 +610,8 @@ class SerialSensorMonitor:
             return CONTACT
         if monitor.suspects:
             return 'inconsistent; what explains it: ' + ', '.join(monitor.suspects)
+        if missing.any():
+            return _SOME_EFFORTS.format(', '.join(compress(self.arm.joint_names, missing)))
         if monitor.estimator.misfit() > ROBUST:
             return MISFIT
         wrong = ', '.join(monitor.misnamed)

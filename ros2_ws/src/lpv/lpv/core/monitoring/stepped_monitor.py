@@ -21,6 +21,7 @@ from lpv.core.serial_arm.chain import BoolArray, FloatArray, IntArray
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.serial_arm.diagnosis.alarms import Mode, SensorState
 from lpv.core.serial_arm.diagnosis.decision import Parts, reading_noise
+from lpv.core.serial_arm.diagnosis.estimator import UNMEASURED
 from lpv.core.serial_arm.diagnosis.information import slot
 from lpv.core.serial_arm.diagnosis.monitor import LONGEST_STEP, SerialMonitor
 from lpv.core.serial_arm.diagnosis.priors import ACCELERATIONS, USUAL_ACCELERATION, WIDEST_LEVEL
@@ -35,8 +36,6 @@ _OK, _ERROR, _NOT_DIAGNOSABLE = SensorState.OK, SensorState.ERROR, SensorState.N
 
 class SteppedMonitor(SerialMonitor):
     """`SerialMonitor` with its samples and their answers.
-
-    It is ``blind`` where efforts are missing: only jumps of readings are looked for then.
 
     Parameters
     ----------
@@ -59,7 +58,7 @@ class SteppedMonitor(SerialMonitor):
         parameters: DiagnosisParameters | None = None,
         uio: UnknownInputObserver | None = None,
     ) -> None:
-        self.blind, self._uio = False, uio
+        self._uio = uio
         self._call = Entries()
         self._efforts = np.array([joint.torque_gain for joint in arm.joints])
         super().__init__(arm, parameters or DiagnosisParameters())
@@ -110,11 +109,6 @@ class SteppedMonitor(SerialMonitor):
         """Whether no rate sensor has a confirmed fault, or is none at all."""
         return not (self.misnamed or any(record.active for record in self.rates))
 
-    @property
-    def uses_balances(self) -> bool:
-        """As of `SerialMonitor`; missing efforts say nothing either."""
-        return super().uses_balances and not self.blind
-
     def run(
         self, stamps: IntArray, samples: FloatArray, rows: AnswerRows, first: int
     ) -> Iterator[tuple[int, int, int | None]]:
@@ -125,7 +119,7 @@ class SteppedMonitor(SerialMonitor):
         stamps : ndarray of int64, shape (N,)
             [ns], increasing; at least one.
         samples : ndarray, shape (N, 3, n)
-            Readings of the position sensors, their rates, efforts; all finite.
+            Readings of the position sensors, their rates, efforts; efforts alone may be NaN.
         rows : AnswerRows
             What receives the answers, from row ``first`` on.
         """
@@ -278,6 +272,7 @@ class SteppedMonitor(SerialMonitor):
         mass = window.momenta[slot(window, 0)]
         tiny = np.finfo(float).eps * np.abs(mass).max()  # of joints without inertia
         per_torque = np.linalg.inv(mass + tiny * np.eye(self.joints))
-        torque = null.noise**2 * null.inflation / self.plan.interval**2
+        torque = null.noise**2 * null.inflation + self.missing_efforts * UNMEASURED
+        torque /= self.plan.interval**2
         predicted: FloatArray = driven / (driven + per_torque**2 @ torque)
         return predicted, (1.0 - predicted) * driven

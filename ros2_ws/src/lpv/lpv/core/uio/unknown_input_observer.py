@@ -108,7 +108,8 @@ def uio_answers(
     ``rows`` (`lpv.core.monitoring.compensation.AnswerRows`) are the horizon's answers; estimates,
     bounds and positions are changed where the observer's bound is smaller.  ``first`` is the row of
     the first one of the samples, ``part`` the first sample and the first one after the last.  The
-    last ones of ``samples``, shape (N, 3, 2), are joint torques [N m]; stamps are in [ns].
+    last ones of ``samples``, shape (N, 3, 2), are joint torques [N m], NaN where missing; stamps
+    are in [ns].
     """
     params, state = parts.constants[0], parts.state[0]
     if params.choice == _NO_OBSERVER:
@@ -116,7 +117,10 @@ def uio_answers(
     for k in range(part[0], part[1]):
         row = first + k
         position, velocity = rows.measured[row], rows.measured_velocity[row]
-        uio_step(params, state, stamps[k], position, velocity, samples[k, 2])
+        if math.isfinite(samples[k, 2, 0] + samples[k, 2, 1]):
+            uio_step(params, state, stamps[k], position, velocity, samples[k, 2])
+        else:  # as if there were no sample
+            state.valid = False
         # By the horizon, while no alarm says that others have come or gone since the start.
         state.alarmed |= rows.alarm[row, 0] or rows.alarm[row, 1]
         for i in range(0 if state.alarmed else 2):

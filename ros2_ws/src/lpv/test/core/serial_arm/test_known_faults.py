@@ -218,7 +218,7 @@ def test_given_a_recording_that_is_repeated_while_an_alarm_is_up_then_the_arm_st
 
 
 def test_given_a_suspicion_when_efforts_are_lost_then_it_is_dropped():
-    run = simulated(shoulder_arm(), pushes=(Push(3.0, 3.4, (0.0, 15.0, 0.0)),), duration=5.0)
+    run = simulated(shoulder_arm(), pushes=(Push(3.0, 3.4, (0.0, 15.0, 0.0)),), duration=12.0)
     run.samples[1650:, 2] = np.nan
     inconsistent = answered(shoulder_arm(), run).inconsistent
     assert inconsistent[1600:1650].any() and not inconsistent[-1]

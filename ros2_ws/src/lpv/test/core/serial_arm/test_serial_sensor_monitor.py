@@ -183,14 +183,12 @@ def test_given_a_step_when_found_then_the_alarm_names_it_and_its_reading_is_corr
     assert [status['message'] for status in sensors][1] == 'fault confirmed'
 
 
-@pytest.mark.parametrize('lacking', ['all', 'one', 'weight'])
+@pytest.mark.parametrize('lacking', ['all', 'weight'])
 def test_given_no_efforts_or_none_of_the_weight_then_no_offsets_are_diagnosable(lacking):
     stamps, samples, position = recorded()
     arm, said = ARM, 'no efforts: '
     if lacking == 'all':
         samples[:, 2] = np.nan
-    elif lacking == 'one':
-        samples[:, 2, 1], said = np.nan, f'no efforts of {ARM.joint_names[1]}: '
     else:
         arm, said = replace(ARM, effort_includes_gravity=False), 'leave out the weight'
         model = SerialModel(compile_chain(arm))
@@ -203,21 +201,53 @@ def test_given_no_efforts_or_none_of_the_weight_then_no_offsets_are_diagnosable(
     assert said in answers.reports[0][1][0]['message']
 
 
-@pytest.mark.parametrize('part', [1, 300, 10_000])
-def test_given_efforts_that_are_always_0_when_the_arm_moves_then_there_are_none(part):
+@pytest.mark.parametrize(
+    ('joint', 'span', 'effort'),
+    [(2, (0.0, 9.0), np.nan), (2, (2.0, 4.5), -1e300), (0, (0.0, 9.0), np.inf)],
+)
+@pytest.mark.parametrize('rates', ['derived', 'independent'])
+def test_given_a_joint_without_efforts_then_faults_of_others_are_found_and_it_is_named(
+    rates, joint, span, effort
+):
+    arm, said = shoulder_arm(rates), f'no efforts of {ARM.joint_names[joint]}: '
+    run = simulated(arm, Fault('encoder2', 'drift', 3.0, rate=0.2), duration=6.0)
+    begin, end = (round(moment / arm.sample_time) for moment in span)
+    run.samples[begin:end, 2, joint] = effort
+    monitor, answers = observe(run.stamps + 5, run.samples, SerialSensorMonitor('/uio', arm))
+    assert told(answers) == RAISED and answers.state.trustworthy.all()
+    assert set(answers.state.mode) == {Mode.INITIALISING, Mode.OBSERVING}
+    assert monitor.counters.without_effort == min(end, 3000) - begin
+    messages = [statuses[0]['message'] for _, statuses in answers.reports]
+    assert sum(map(str.startswith, messages, [said] * len(messages))) > 1
+    assert messages[-1].startswith(said) == (end > 3000)
+    (warned,) = (text for _, text in answers.warnings if text.startswith('no efforts'))
+    assert warned.startswith(said)
+
+
+@pytest.mark.parametrize('missing', [0, slice(None)])
+def test_given_efforts_that_are_missing_now_and_then_then_no_sample_is_lost(missing):
+    stamps, samples, _ = recorded(duration=4.0)
+    samples = samples.copy()
+    samples[50::100, 2, missing] = np.nan
+    monitor, answers = observe(stamps, samples)
+    assert told(answers) == RAISED and monitor.counters.without_effort == 20
+    assert Mode.STALE not in answers.state.mode and monitor.decisions > 70
+
+
+@pytest.mark.parametrize(('part', 'zero'), [(1, 0.0), (300, -5e-324), (10_000, 0.0)])
+def test_given_efforts_that_are_always_0_when_the_arm_moves_then_there_are_none(part, zero):
     """As of drivers that measure none; before the arm moves, brakes may hold it."""
-    run = simulated(ARM, duration=4.0)
+    run = simulated(ARM, duration=8.0)
     stamps, samples = run.stamps + 5, run.samples
-    zeros = samples.copy()
-    zeros[:, 2] = 0.0
+    samples[:2000, 2] = zero
     monitor = SerialSensorMonitor('/uio', ARM)
-    answers = observe_parts(monitor, stamps, zeros, part)
+    answers = observe_parts(monitor, stamps[:2000], samples[:2000], part)
     (warned,) = (text for one in answers for _, text in one.warnings)
     assert told(*answers) == [] and warned.startswith('no efforts')
     assert answers[-1].state.mode[-1] == Mode.HOLDING
     assert (answers[-1].fault.state[-1] == SensorState.NOT_DIAGNOSABLE).all()
     # Efforts that come at last are used.
-    _, answers = observe(stamps + 4 * 10**9, samples, monitor)
+    _, answers = observe(stamps[2000:], samples[2000:], monitor)
     assert answers.state.mode[-1] == Mode.OBSERVING and told(answers) == []
 
 

@@ -55,6 +55,20 @@ def test_given_a_healthy_arm_then_bounds_hold(paper_arm, paper_gains, run_paper,
     assert np.all(np.abs(found.fault.estimate[500:]) <= known)
 
 
+@pytest.mark.parametrize('observer', ['uio', 'tightest'])
+def test_given_a_joint_without_efforts_for_a_while_then_the_observer_begins_anew_after_them(
+    paper_arm, paper_gains, run_paper, observer
+):
+    run = run_paper(faults=(), duration=6.0)
+    effort = run.effort.copy()
+    effort[1000:1500, 1] = np.nan
+    (found,) = answers(replace(run, effort=effort), paper_arm, paper_gains, observer)
+    (whole,) = answers(run, paper_arm, paper_gains, observer)
+    assert found.events == [] and np.isfinite(found.state.position).all()
+    assert np.all(np.abs(found.fault.estimate) <= found.fault.bound)
+    np.testing.assert_allclose(found.fault.bound[-1], whole.fault.bound[-1], rtol=0.5)
+
+
 def test_given_constant_friction_then_the_observer_knows_it_and_the_bound_its_share(
     paper_arm, paper_gains, run_paper
 ):

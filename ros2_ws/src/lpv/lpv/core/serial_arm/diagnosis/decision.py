@@ -15,6 +15,7 @@ from lpv.core.serial_arm.diagnosis.bank import BankParts, ask_bank, take_rows
 from lpv.core.serial_arm.diagnosis.estimator import (
     INTERVAL,
     NOISE_SAMPLES,
+    UNMEASURED,
     Posterior,
     estimate_all,
     has_moved,
@@ -23,7 +24,14 @@ from lpv.core.serial_arm.diagnosis.estimator import (
 )
 from lpv.core.serial_arm.diagnosis.healthy_set import HealthyRing, take_healthy
 from lpv.core.serial_arm.diagnosis.information import NEXT, Window, slot
-from lpv.core.serial_arm.diagnosis.sampler import BLOCKS, JITTER, PROBED, Sampler, readings_in_jump
+from lpv.core.serial_arm.diagnosis.sampler import (
+    BLOCKS,
+    DELAY,
+    JITTER,
+    PROBED,
+    Sampler,
+    readings_in_jump,
+)
 from lpv.core.support.jit import njit_in_place
 from lpv.core.support.records import record_type
 
@@ -104,6 +112,19 @@ class Parts(NamedTuple):
 def reading_noise(sampler: Sampler, i: int) -> float:
     """Variance of a noisy reading [rad2]."""
     return float(sampler.noise[1, i] / readings_in_jump(sampler, i))
+
+
+@njit_in_place
+def leave_out_missing(window: Window, sampler: Sampler, samples: int) -> bool:
+    """Of joints whose efforts are missing the last balance says nothing; true if there are any.
+
+    ``samples`` are those between a missing effort and the last balance without it.
+    """
+    some = False
+    for i in range(sampler.measured.shape[0]):
+        if sampler.measured[i] < samples:
+            window.extra[slot(window, 0), i], some = UNMEASURED, True
+    return some
 
 
 @njit_in_place
@@ -202,6 +223,7 @@ def decide(parts: Parts) -> None:
     state, window, bank = parts.state[0], parts.window, parts.bank
     horizon = window, parts.null, parts.slow, parts.level
     interval = bank.interval
+    plan = interval, round(interval / state.sample_time)
     if state.stage == _BEGIN:
         state.stage = _TAKE if state.uses_balances else _END
     if state.stage == _TAKE:
@@ -212,11 +234,12 @@ def decide(parts: Parts) -> None:
                 parts.healthy, window, parts.balance.rows, parts.recent, half, state.learns
             )
         take_balances(*horizon, parts.balance, state.now, state.learns)
+        if leave_out_missing(window, parts.sampler, 2 * plan[1] + DELAY):
+            weigh_all(*horizon, 1)
         take_rows(bank, parts.balance, window, parts.recent)
         state.balances += 1
         state.stage = _FOLLOW if state.follows else _ESTIMATE
     if state.stage == _ESTIMATE:
-        plan = interval, round(interval / state.sample_time)
         if add_noise(window, parts.null, parts.sampler, plan, parts.recent):
             weigh_all(*horizon, 1)
         estimate_all(*horizon, parts.since_linearised, interval, state.learns)

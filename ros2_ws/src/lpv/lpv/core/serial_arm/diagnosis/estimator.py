@@ -58,7 +58,7 @@ from lpv.core.serial_arm.diagnosis.parameter_error import (
 )
 from lpv.core.serial_arm.diagnosis.priors import FAST, LASTING, OFFSET_PRIOR, POSE_TIME, STATIC
 from lpv.core.support.jit import Entries, njit_in_place
-from lpv.core.support.limits import SMALL
+from lpv.core.support.limits import LARGEST, SMALL
 
 INTERVAL = 0.05
 """Between decisions, about [s]."""
@@ -81,6 +81,8 @@ _LARGEST_FACTOR = 10.0
 wrong, which `misfit` reports."""
 PAST_WEIGHT = 0.998
 """Factor of what was learned, each balance."""
+UNMEASURED = LARGEST**2
+"""Variance of a balance of an effort that was missing: it may have been any [N2 m2 s2]."""
 ONSET = 2
 """Balances at the start of a window in which a cause may come in any way: they are explained by
 free torques, for encoders as for contacts.  A jump is in the two balances that hold it."""
@@ -381,11 +383,7 @@ def make_absolute(rows: FloatArray, reference: FloatArray) -> None:
 @njit_in_place
 def learn_noise(window: Window, null: Posterior) -> None:
     """Size and correlation of what is not explained, from the residuals of the horizon."""
-    count, n = window.counters[COUNT], null.noise.shape[0]
-    values, trusted = null.sizes, 0
-    for back in range(count):
-        trusted += window.trust[slot(window, back)] == 1.0
-    share = _share(trusted)
+    count, n, values = window.counters[COUNT], null.noise.shape[0], null.sizes
     for i in range(n):
         expected = null.expected[i]
         moving = values[: _sizes(window, null, i, 0.0, values)]
@@ -394,15 +392,21 @@ def learn_noise(window: Window, null: Posterior) -> None:
         resting = values[: _sizes(window, null, i, 1.0, values)]
         rest = _learned_size(resting, null.expected_rest[i] * null.noise[i])
         null.rest[i] = min(max(rest / null.noise[i], 1.0), _LARGEST_FACTOR)
-        if trusted >= _FEW:
-            k = 0
-            for back in range(count):
-                if window.trust[slot(window, back)] == 1.0:
-                    ratio = null.residual[back, i] / usual_size(window, null, back, i)
-                    values[k] = min(max(ratio, -ROBUST), ROBUST)
-                    k += 1
+        k = 0
+        for back in range(count):
+            if _is_trusted(window, slot(window, back), i):
+                ratio = null.residual[back, i] / usual_size(window, null, back, i)
+                values[k] = min(max(ratio, -ROBUST), ROBUST)
+                k += 1
+        if k >= _FEW:
             learned = min(1.0 + 2.0 * _correlation(values[:k]), _LARGEST_INFLATION)
-            null.inflation[i] = (1.0 - share) * 2.0 + share * learned
+            null.inflation[i] = (1.0 - _share(k)) * 2.0 + _share(k) * learned
+
+
+@njit_in_place
+def _is_trusted(window: Window, at: int, i: int) -> bool:
+    """Whether nothing from outside acted on a balance of a joint whose effort was measured."""
+    return bool(window.trust[at] == 1.0 and window.extra[at, i] < UNMEASURED)
 
 
 @njit_in_place
@@ -411,7 +415,7 @@ def _sizes(window: Window, null: Posterior, i: int, rest: float, values: FloatAr
     count = 0
     for back in range(window.counters[COUNT]):
         at = slot(window, back)
-        if window.trust[at] == 1.0 and window.rest[at, i] == rest:
+        if _is_trusted(window, at, i) and window.rest[at, i] == rest:
             values[count] = abs(null.residual[back, i])
             count += 1
     return count

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from lpv.core.serial_arm.certificate.jump_bound import jump_bound
-from lpv.core.serial_arm.chain import COULOMB, FloatArray
+from lpv.core.serial_arm.chain import COULOMB, BoolArray, FloatArray
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.serial_arm.diagnosis.alarms import SensorState
 from lpv.core.serial_arm.diagnosis.bank import (
@@ -254,6 +254,12 @@ class SerialMonitor:
         self._see_nothing_wrong()
         self._mark_suspects()
         self._tell()
+
+    @property
+    def missing_efforts(self) -> BoolArray:
+        """Joints whose efforts are missing in the newest balance, or later."""
+        held = 2 * self.plan.per_block * self.plan.blocks + DELAY
+        return np.asarray(self.sampler.measured < held)
 
     @property
     def uses_balances(self) -> bool:

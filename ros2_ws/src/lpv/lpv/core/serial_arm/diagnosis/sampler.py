@@ -83,6 +83,7 @@ class Sampler(NamedTuple):
     size: FloatArray  # height of a jump that was found, or may be hidden, shape (n,) [rad]
     since: IntArray  # samples since that step, itself included, shape (n,)
     raw: FloatArray  # last reading as it came, shape (n,) [rad]
+    measured: FloatArray  # (n,) samples since the effort was missing, infinite if it never was
     still: IntArray  # samples for which the reading has not changed at all, shape (n,)
     held: IntArray  # the same before the last change, if that was the last sample, shape (n,)
     lively: FloatArray  # (n,) share of changes that go back and forth by more than rounding
@@ -128,7 +129,8 @@ def new_sampler(
         np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n),
         derived.copy(), np.zeros((3, n)), np.zeros((capacity, 3 * n + 4)), np.zeros(n, np.int64),
         np.zeros(n), np.zeros(n, np.int64),
-        np.zeros(n), np.zeros(n, np.int64), np.zeros(n, np.int64), np.zeros(n), np.zeros(n),
+        np.zeros(n), np.full(n, np.inf), np.zeros(n, np.int64), np.zeros(n, np.int64), np.zeros(n),
+        np.zeros(n),
         np.full(n, np.inf),
         np.zeros((4, n)),
         np.zeros(n, np.int64), np.zeros((HISTORY, n), np.int64), np.zeros(n, np.int64),

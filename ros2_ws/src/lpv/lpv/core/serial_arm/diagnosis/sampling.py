@@ -1,5 +1,7 @@
 """From samples to momentum balances: means of some samples are blocks, some blocks an interval."""
 
+import numpy as np
+
 from lpv.core.serial_arm.chain import FloatArray
 from lpv.core.serial_arm.diagnosis.balance import Balance, add_block, close_interval, drop_interval
 from lpv.core.serial_arm.diagnosis.jumps import find_jumps, set_jumps
@@ -48,7 +50,8 @@ def push_sample(
 ) -> None:
     """Append a sample, with faults that are known removed, and test the one before for jumps.
 
-    ``found`` and ``size`` of the sampler say what has been found at samples before.
+    ``found`` and ``size`` of the sampler say what has been found at samples before.  A torque that
+    is not known is NaN.
     """
     n = y.shape[0]
     period = time - sampler.time[HISTORY - 1]
@@ -89,7 +92,9 @@ def push_sample(
         first = HISTORY - 1 if follows else 0  # nothing is known of before
         for k in range(first, HISTORY):
             sampler.samples[k, 1, i] = rate
-        sampler.samples[HISTORY - 1, 2, i] = torque[i]
+        is_measured = np.isfinite(torque[i])
+        sampler.measured[i] = sampler.measured[i] + 1.0 if is_measured else 0.0
+        sampler.samples[HISTORY - 1, 2, i] = torque[i] if is_measured else 0.0
     for i in range(n):
         wrong = sampler.contrast[WRONG, i] + sampler.contrast[REPLACED, i] > 0.0
         if follows and (wrong or (lag > 0.0 and sampler.derived[i] == 1.0)):

@@ -14,7 +14,12 @@ import numpy.typing as npt
 from lpv.core.serial_arm.chain import FloatArray, IntArray
 from lpv.core.serial_arm.diagnosis.balance import OFFSET, RATE
 from lpv.core.serial_arm.diagnosis.drift_trial import free_of_drift
-from lpv.core.serial_arm.diagnosis.estimator import OffsetEstimator, Posterior, set_residuals
+from lpv.core.serial_arm.diagnosis.estimator import (
+    UNMEASURED,
+    OffsetEstimator,
+    Posterior,
+    set_residuals,
+)
 from lpv.core.serial_arm.diagnosis.information import ROBUST, factorise, recent, whiten
 from lpv.core.serial_arm.diagnosis.priors import (
     ACCELERATIONS,
@@ -106,6 +111,7 @@ def course_of_frozen(
     size[:, moved] = null.noise[moved]
     inflation = null.inflation
     weights = np.minimum(_weights(before, size, inflation), _weights(after, size, inflation))
+    weights[estimator.window.extra[at] >= UNMEASURED] = 0.0
     columns = _rate_steps(rows, joint, estimator.window.momenta[at], plan.interval)
     every = np.concatenate([(after - before)[:, :, None], columns], axis=2)
     root, free = np.sqrt(weights).reshape(-1, 1), unknowns.reshape(-1, len(null.mean))
