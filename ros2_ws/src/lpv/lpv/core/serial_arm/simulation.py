@@ -3,7 +3,7 @@
 import numpy as np
 
 from lpv.core.serial_arm.chain import COULOMB, LOAD, SLOPE, VISCOUS, Chain, FloatArray, workspace
-from lpv.core.serial_arm.dynamics.friction import friction_torque
+from lpv.core.serial_arm.dynamics.friction import drive_friction
 from lpv.core.serial_arm.dynamics.model import SerialModel
 from lpv.core.serial_arm.dynamics.momentum import forward_dynamics
 from lpv.core.support.errors import ConfigError
@@ -50,7 +50,7 @@ def plant_step(
                 if stage > 0:
                     position[i] += share * step * slopes[2 * stage - 2, i]
                     rate[i] += share * step * slopes[2 * stage - 1, i]
-            friction_torque(chain, rate, torque, friction)
+            drive_friction(chain, rate, torque, friction)
             for i in range(n):
                 net[i] = torque[i] - friction[i]
                 slopes[2 * stage, i] = rate[i]

@@ -7,7 +7,7 @@ import numpy as np
 
 from lpv.core.serial_arm.chain import Chain, FloatArray
 from lpv.core.serial_arm.description import LinkInertia
-from lpv.core.serial_arm.dynamics.friction import friction_torque
+from lpv.core.serial_arm.dynamics.friction import drive_friction
 from lpv.core.support.errors import ConfigError, LpvError
 
 REQUIREMENT = 'mujoco>=3.3.1,<4'
@@ -67,7 +67,7 @@ class MujocoChain:
 
     def _add_friction(self, model: Any, data: Any) -> None:
         rates = np.array(data.qvel)
-        friction_torque(self._chain, rates, self._torque, self._friction)
+        drive_friction(self._chain, rates, self._torque, self._friction)
         data.qfrc_passive -= self._friction
         if self._push.any():
             self._mujoco.mj_mulM(model, data, self._forces, self._push)

@@ -15,6 +15,8 @@ from lpv.core.serial_arm import description, simulation
 from lpv.core.serial_arm.certificate.jump_bound import NET_TORQUE, jump_bound
 from lpv.core.serial_arm.chain import compile_chain
 from lpv.core.serial_arm.diagnosis.alarms import GUARANTEED, STATISTICAL, Alarm, AlarmEvent
+from lpv.core.serial_arm.diagnosis.healthy_balance import generator_count
+from lpv.core.serial_arm.diagnosis.healthy_set import LEAST_RESPONSE
 from lpv.core.serial_arm.diagnosis.parameter_set import member, parameter_set, payload_generator
 from lpv.core.serial_arm.dynamics.model import SerialModel
 
@@ -92,6 +94,89 @@ def test_given_any_payload_of_the_file_when_learned_then_the_interval_holds_it(e
     shares[at_tip] = mass / 0.5
     low, high = watched(ARM, member(chain, sizes, shares), duration=8.0).payload
     assert low <= mass <= high
+
+
+CLOSE = with_joints(
+    replace(ARM, uncertainty=description.Uncertainty(0.0, 0.0, 0.001)),
+    sensors={'position_noise': 1e-6, 'velocity_noise': 1e-5},
+    friction={'coulomb': 0.0},
+)
+"""An arm that its file states closely, but for what a test says of drives and sensors."""
+
+
+def largest_ratio(arm, swing, speed, late=0.0, missed=0.0, seconds=5.0):
+    """Largest estimate of a healthy arm over its threshold in a motion; efforts are late [s]."""
+    rng, sensors = np.random.default_rng(0), arm.joints[0].sensors
+    t = arm.sample_time * np.arange(round(seconds / arm.sample_time))
+    model = SerialModel(compile_chain(arm))
+
+    def motion(time):
+        angle = speed * time[:, None] * [0.7, 1.0, 0.9] + [0.0, 1.0, 2.0]
+        q = np.array([0.3, 0.5, 0.4]) + swing * np.sin(angle)
+        rate = speed * np.array([0.7, 1.0, 0.9])
+        return q, swing * rate * np.cos(angle), -swing * rate**2 * np.sin(angle)
+
+    q, v, _ = motion(t)
+    q = q + sensors.position_noise * rng.normal(size=q.shape)
+    v = v + sensors.velocity_noise * rng.normal(size=q.shape)
+    if sensors.quantization:
+        q = sensors.quantization * np.round(q / sensors.quantization)
+    samples = np.stack([q, v, model.torque(*motion(t - late)) + missed], axis=1)
+    monitor, chunk, largest = Watched(arm), round(0.25 / arm.sample_time), 0.0
+    for k in range(0, len(t), chunk):
+        part = slice(k, k + chunk)
+        monitor.take(10**9 + np.round(1e9 * t[part]).astype(int), samples[part])
+        if monitor.healthy is None:
+            break
+        found = monitor.healthy.evaluate()
+        shown = np.where(found.response > LEAST_RESPONSE, np.abs(found.estimate), 0.0)
+        largest = max(largest, float((shown / np.maximum(found.threshold, 1e-9)).max()))
+    return largest
+
+
+@pytest.mark.parametrize('load', [0.1, 0.4])
+def test_given_friction_that_grows_with_load_when_moved_then_thresholds_hold(load):
+    """It grows with the torque that the gear carries, which is not that of the drive."""
+    arm = with_joints(CLOSE, friction={'coulomb': 1.0, 'load': load})
+    assert largest_ratio(arm, 0.6, 2.0) < 0.5
+
+
+@pytest.mark.parametrize('missed', [-2.0, 2.0])
+def test_given_torques_that_are_missed_at_rest_alone_when_rates_are_noisy_then_thresholds_hold(
+    missed,
+):
+    """What a rate reads at rest is not zero."""
+    tolerance = description.TorqueTolerance((0.0, 0.005), (2.0, 0.0))
+    arm = with_joints(CLOSE, torque_tolerance=tolerance, sensors={'velocity_noise': 0.02})
+    assert largest_ratio(arm, 0.0, 1.0, missed=missed) < 1.0
+
+
+def test_given_readings_that_are_rounded_at_rest_then_thresholds_hold():
+    """At rest the error of rounding stays as it is."""
+    for step in (0.011, 0.07):
+        arm = with_joints(CLOSE, sensors={'quantization': step})
+        assert largest_ratio(arm, 0.0, 1.0) < 1.0
+
+
+@pytest.mark.parametrize(('late', 'swing', 'speed'), [(0.05, 0.2, 3.0), (0.1, 0.4, 2.0)])
+def test_given_efforts_as_late_as_stated_when_moved_then_thresholds_hold(late, swing, speed):
+    """What is quadratic in the delay counts, too."""
+    arm = with_joints(CLOSE, effort_delay=late)
+    assert max(largest_ratio(arm, swing, speed, way * late, seconds=4.0) for way in (-1, 1)) < 1.0
+
+
+def test_given_a_rotor_that_couples_joints_then_its_effect_is_that_of_both():
+    stated = replace(CLOSE, uncertainty=description.Uncertainty(0.0, 0.0, 0.05))
+    arm = with_joints(stated, 2, rotor_inertia=1.0, rotor_coupling=-0.9)
+    chain = compile_chain(arm)
+    sizes = parameter_set(arm, chain)
+    other = chain.motor + 0.05 * np.array([[0, 0, 0], [0, 0, -0.9], [0, -0.9, 1.0]])
+    shares = np.zeros(generator_count(sizes))
+    shares[len(sizes.inertial) + 2] = 1.0
+    np.testing.assert_allclose(member(chain, sizes, shares).motor, other)
+    exact, coupled = (watched(arm, chain._replace(motor=motor)) for motor in (chain.motor, other))
+    expected = coupled.effects @ shares
+    assert (coupled.estimate - exact.estimate)[2] == pytest.approx(expected[2], rel=0.1)
 
 
 def answers(*faults, uncertainty=STATED, pushes=(), duration=5.0):

@@ -15,7 +15,7 @@ import numpy as np
 from lpv.core.serial_arm.chain import SLOPE, Chain, FloatArray, joint_count, workspace
 from lpv.core.serial_arm.description import JointFriction
 from lpv.core.serial_arm.diagnosis.priors import SLOW_RATE
-from lpv.core.serial_arm.dynamics.friction import friction_torque, smooth_sign
+from lpv.core.serial_arm.dynamics.friction import drive_friction, smooth_sign
 from lpv.core.serial_arm.dynamics.momentum import carried_momentum, momentum_balance, set_velocities
 from lpv.core.serial_arm.sensor_map import map_vector
 from lpv.core.support.jit import njit_in_place
@@ -162,7 +162,7 @@ def add_residual(
     map_vector(balance.to_joints, friction, angle)
     map_vector(balance.to_joints, v, rate)
     momentum_balance(balance.chain, angle, rate, balance.work, p, force)
-    friction_torque(balance.chain, rate, torque, friction)
+    drive_friction(balance.chain, rate, torque, friction)
     for i in range(y.shape[0]):
         put(balance, 0, i, (p[i], force[i] + torque[i] - friction[i]), weight)
 

@@ -26,15 +26,18 @@ from lpv.core.serial_arm.description import SIGMAS
 from lpv.core.serial_arm.diagnosis.balance import OFFSET as _READING
 from lpv.core.serial_arm.diagnosis.balance import RATE, put
 from lpv.core.serial_arm.diagnosis.parameter_set import ParameterSet
-from lpv.core.serial_arm.dynamics.friction import smooth_sign
+from lpv.core.serial_arm.dynamics.friction import acting_share, smooth_sign
 from lpv.core.serial_arm.dynamics.momentum import mass_matrix
 from lpv.core.serial_arm.dynamics.regressor import momentum_regressor
 from lpv.core.serial_arm.sensor_map import map_vector
+from lpv.core.support.inequalities import SAME
 from lpv.core.support.jit import njit_in_place as njit
 
 RESIDUAL, SPEED, VISCOSITY, DRY, LOADED, ONE, TORQUE = range(7)
 """Columns of the parts that concern one joint each."""
 _PARTS = TORQUE + 1
+_HELD = 0.9
+"""Share of the largest bend of a torque that counts an interval later: half after seven."""
 
 
 class HealthyBalance(NamedTuple):
@@ -49,6 +52,8 @@ class HealthyBalance(NamedTuple):
     variance: FloatArray  # (2, 2, n) likewise: of the noise in friction [N2 m2 s2]
     row: FloatArray  # (n, 10 n + 7) of the last complete hat
     last: FloatArray  # (3, n) means q, v and net force of the block before
+    # (2, n) last change of the mean torques from one interval to the next, and its own, as held
+    bent: FloatArray
     first: FloatArray  # (n, 10 n) scratch: regressor
     second: FloatArray  # (n, 10 n) scratch: regressor
     work: FloatArray  # scratch: workspace
@@ -63,8 +68,8 @@ def new_healthy_balance(chain: Chain, sizes: ParameterSet, to_joints: FloatArray
     size = (2, n, 10 * n + _PARTS)
     return HealthyBalance(
         chain, sizes, np.zeros(size), np.zeros(size), np.zeros(size), np.zeros((2, 2, n)),
-        np.zeros((2, 2, n)), np.zeros(size[1:]), np.full((3, n), np.inf), np.zeros((n, 10 * n)),
-        np.zeros((n, 10 * n)), workspace(chain), np.zeros((n, n)), to_joints,
+        np.zeros((2, 2, n)), np.zeros(size[1:]), np.full((3, n), np.inf), np.zeros((2, n)),
+        np.zeros((n, 10 * n)), np.zeros((n, 10 * n)), workspace(chain), np.zeros((n, n)), to_joints,
         np.zeros((2, n)))  # fmt: skip
 
 
@@ -109,9 +114,11 @@ def _add_block(
     for i in range(n):
         row = chain.friction[i]
         slope = row[SLOPE]
-        sign, dry = smooth_sign(v[i], slope), row[COULOMB] + row[LOAD] * abs(torque[i])
-        friction = row[VISCOUS] * v[i] + dry * sign + row[OFFSET]
-        p, force = 0.0, torque[i] - friction
+        sign = smooth_sign(v[i], slope)
+        left = torque[i] - row[VISCOUS] * v[i] - row[COULOMB] * sign - row[OFFSET]
+        acts = acting_share(row, left, sign)
+        load, p, force = abs(acts * left), 0.0, acts * left
+        dry = row[COULOMB] + row[LOAD] * load
         for a in range(n):
             p += chain.motor[i, a] * v[a]
             for k in range(10):
@@ -124,23 +131,26 @@ def _add_block(
                 balance.falling[1, i, c] += length * (1.0 - place) * effect
         put(balance, span + RESIDUAL, i, (p, force), (length, place))
         put(balance, span + SPEED, i, (v[i], 0.0), (length, place))
-        put(balance, span + VISCOSITY, i, (0.0, v[i]), (length, place))
-        put(balance, span + DRY, i, (0.0, sign), (length, place))
-        put(balance, span + LOADED, i, (0.0, abs(torque[i]) * sign), (length, place))
-        put(balance, span + ONE, i, (0.0, 1.0), (length, place))
+        put(balance, span + VISCOSITY, i, (0.0, acts * v[i]), (length, place))
+        put(balance, span + DRY, i, (0.0, acts * sign), (length, place))
+        put(balance, span + LOADED, i, (0.0, acts * load * sign), (length, place))
+        put(balance, span + ONE, i, (0.0, acts), (length, place))
         put(balance, span + TORQUE, i, (torque[i], 0.0), (length, place))
-        half, even = 0.0, 0.0
+        half, even, sizes = 0.0, 0.0, balance.sizes
         if began:
             half = 0.5 * abs(v[i] - balance.last[1, i])
             even = length * abs(force - balance.last[2, i]) / (8.0 * count)
             for a in range(n):
                 change = abs(balance.matrix[i, a] * (v[a] - balance.last[1, a]))
                 even += turn * change / (12.0 * count)
+        doubt = half + SIGMAS * rate_noise[i]
+        slowest, fastest = max(abs(v[i]) - doubt, 0.0), abs(v[i]) + doubt
         uneven = _within(v[i], half, slope) * dry
-        if abs(v[i]) <= half + SIGMAS * rate_noise[i]:  # it may rest, friction may be anything
-            most = dry + balance.sizes.coulomb[i] + balance.sizes.load[i] * abs(torque[i])
-            uneven = max(uneven, most + dry * abs(sign))
-        missed = length * (uneven + _tolerance(balance.sizes.tolerance[i], abs(v[i])))
+        if slowest == 0.0:  # it may rest, friction may be anything
+            share = row[LOAD] + sizes.load[i]
+            most = row[COULOMB] + sizes.coulomb[i] + share * abs(torque[i])
+            uneven = max(uneven, most / max(1.0 - share, SAME) + dry * abs(sign))
+        missed = length * (uneven + _tolerance(sizes.tolerance[i], slowest, fastest))
         bend = row[VISCOUS] + dry * slope * (2.0 / np.pi) / (1.0 + (slope * v[i]) ** 2)
         noise = (length * bend * rate_noise[i]) ** 2
         for side in range(2):
@@ -153,15 +163,20 @@ def _add_block(
 
 
 @njit
-def _tolerance(points: FloatArray, speed: float) -> float:
-    """Torque at a speed, by points (2, s) between which it is linear [N m]."""
-    k, last = 0, points.shape[1] - 1
-    while k < last and points[0, k + 1] <= speed:
-        k += 1
-    if k == last or speed <= points[0, k]:
-        return float(points[1, k])
-    slope = (points[1, k + 1] - points[1, k]) / (points[0, k + 1] - points[0, k])
-    return float(points[1, k] + slope * (speed - points[0, k]))
+def _tolerance(points: FloatArray, slowest: float, fastest: float) -> float:
+    """Largest torque between two speeds, by points (2, s) between which it is linear [N m]."""
+    last = points.shape[1] - 1
+    largest = points[1, 0] if slowest <= points[0, 0] else 0.0
+    if fastest >= points[0, last]:
+        largest = max(largest, points[1, last])
+    for k in range(last):
+        width = points[0, k + 1] - points[0, k]
+        low, high = max(slowest, points[0, k]), min(fastest, points[0, k + 1])
+        if low <= high and width > 0.0:
+            for speed in (low, high):
+                rise = (points[1, k + 1] - points[1, k]) * (speed - points[0, k]) / width
+                largest = max(largest, points[1, k] + rise)
+    return float(largest)
 
 
 @njit
@@ -207,18 +222,25 @@ def close_healthy_interval(
                     total += row[i, first + c] * sizes.inertial[k, c]
                 effects[i, 1 + k] = -total
             at = 1 + count + i
-            effects[i, at] = -sizes.rotor[i] * row[i, span + SPEED]
+            for j in range(max(i - 1, 0), min(i + 2, n)):  # a rotor with its coupling
+                effects[i, 1 + count + max(i, j)] -= sizes.rotor[i, j] * row[j, span + SPEED]
             effects[i, at + n] = sizes.viscous[i] * row[i, span + VISCOSITY]
             effects[i, at + 2 * n] = sizes.coulomb[i] * row[i, span + DRY]
             effects[i, at + 3 * n] = sizes.load[i] * row[i, span + LOADED]
             effects[i, at + 4 * n] = sizes.offset[i] * row[i, span + ONE]
-            effects[i, at + 5 * n] = sizes.delay[i] * row[i, span + TORQUE]
+            change = row[i, span + TORQUE]
+            effects[i, at + 5 * n] = sizes.delay[0, i] * change
+            balance.bent[1, i] = max(abs(change - balance.bent[0, i]), _HELD * balance.bent[1, i])
+            balance.bent[0, i] = change
             doubts[0, i] = balance.slack[0, 0, i] + balance.slack[1, 1, i]
+            doubts[0, i] += sizes.delay[1, i] / length * balance.bent[1, i]
             doubts[1, i] = balance.variance[0, 0, i] + balance.variance[1, 1, i]
             for j in range(n):
                 bias = sizes.rate_bias[j] * rows[i, 1 + RATE * n + j]
                 effects[i, 1 + count + 6 * n + j] = -bias
-                doubts[1, i] += (reading[j] * rows[i, 1 + _READING * n + j]) ** 2
+                effect = abs(rows[i, 1 + _READING * n + j])
+                doubts[0, i] += sizes.rounding[j] * effect
+                doubts[1, i] += (reading[j] * effect) ** 2
     for i in range(n):
         for c in range(row.shape[1]):
             balance.momentum[0, i, c] = balance.momentum[1, i, c]

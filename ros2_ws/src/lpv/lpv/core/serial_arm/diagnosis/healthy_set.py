@@ -170,9 +170,8 @@ class HealthySet:
         m, columns = len(estimator.prior), 1 + generator_count(sizes)
         sensors = [joint.sensors for joint in arm.joints]
         self._derived = estimator.balance.derived > 0.0
-        reading = np.array([
-            np.hypot(one.position_noise, one.quantization / np.sqrt(12.0)) for one in sensors
-        ])  # fmt: skip
+        noise = np.array([one.position_noise for one in sensors])
+        reading = np.hypot(noise, sizes.rounding)  # at the edge of two steps
         rate = np.array([one.velocity_noise for one in sensors]) / np.sqrt(plan.per_block)
         difference = np.sqrt(2.0) * reading / (plan.per_block * arm.sample_time)
         by_sensor = np.where(self._derived, difference, rate)
@@ -180,7 +179,7 @@ class HealthySet:
             self._balance, np.zeros((plan.capacity, n, columns)), np.zeros((plan.capacity, 2, n)),
             np.zeros((m, columns)), np.zeros(3),
             np.sqrt(map_rows(self._balance.to_joints**2, by_sensor**2)),
-            reading / np.sqrt(plan.per_block * plan.blocks),
+            noise / np.sqrt(plan.per_block * plan.blocks),
             np.where(self._derived, reading / plan.interval, rate / np.sqrt(plan.blocks)),
             READINGS_AT_EDGES if self._derived.any() else 2.0)  # fmt: skip
         self._effects, self._doubts = self.ring.effects, self.ring.doubts

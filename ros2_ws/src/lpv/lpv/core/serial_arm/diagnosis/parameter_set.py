@@ -30,13 +30,15 @@ class ParameterSet(NamedTuple):
 
     body: IntArray  # link to which each of the inertial generators belongs, shape (k,)
     inertial: FloatArray  # of the links and of the payload, shape (k, 10)
-    rotor: FloatArray  # of the rotors' inertias, shape (n,) [kg m2]
+    rotor: FloatArray  # of the rotors' inertias and couplings, shape (n, n) [kg m2]
     viscous: FloatArray  # (n,) of friction [N m s]
     coulomb: FloatArray  # (n,) of friction [N m]
     load: FloatArray  # (n,) of friction [-]
     offset: FloatArray  # (n,) of friction [N m]
     rate_bias: FloatArray  # of independent rates, shape (n,) [rad/s]
-    delay: FloatArray  # of the efforts against the motion, shape (n,) [s]
+    rounding: FloatArray  # of readings, shape (n,) [rad]
+    # (2, n) of the efforts against the motion [s], and its share of how torques bend [s2]
+    delay: FloatArray
     tolerance: FloatArray  # (n, 2, s) speeds [rad/s], torques that the model may miss there [N m]
 
 
@@ -69,12 +71,13 @@ def parameter_set(arm: SerialArm, chain: Chain) -> ParameterSet:
     return ParameterSet(
         body[counts],
         inertial[counts],
-        error * np.diag(chain.motor).copy(),
+        error * chain.motor,
         share * np.abs(friction[:, VISCOUS]),
         share * friction[:, COULOMB],
         share * friction[:, LOAD],
         share * np.abs(friction[:, OFFSET]),
         np.array(bias),
+        np.array([0.5 * joint.sensors.quantization for joint in arm.joints]),
         _delay(arm),
         _tolerance(arm),
     )
@@ -108,16 +111,18 @@ def member(chain: Chain, sizes: ParameterSet, shares: FloatArray) -> Chain:
         (OFFSET, parts[4], sizes.offset),
     ):
         friction[:, column] += part * size
-    motor = chain.motor + np.diag(parts[0] * sizes.rotor)
+    motor = chain.motor + parts[0][np.maximum.outer(np.arange(n), np.arange(n))] * sizes.rotor
     return chain._replace(inertial=inertial, friction=friction, motor=motor)
 
 
 def _delay(arm: SerialArm) -> FloatArray:
-    """Largest delays of the efforts [s]; a low-pass filter delays by its time constant."""
+    """Largest delays of the efforts; a low-pass filter delays by its time constant.
+
+    Efforts are tau - d tau' + d^2/2 tau'' of a delay, tau - T tau' + T^2 tau'' of a filter.
+    """
     filtered = 1.0 / (2.0 * np.pi * arm.effort_bandwidth)
-    return np.array([
-        0.5 * arm.sample_time + abs(joint.effort_delay) + filtered for joint in arm.joints
-    ])  # fmt: skip
+    late = 0.5 * arm.sample_time + np.abs([joint.effort_delay for joint in arm.joints])
+    return np.array([late + filtered, 0.5 * late**2 + late * filtered + filtered**2])
 
 
 def _tolerance(arm: SerialArm) -> FloatArray:
