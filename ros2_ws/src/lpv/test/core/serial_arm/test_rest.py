@@ -174,6 +174,13 @@ def test_given_friction_beyond_the_files_when_joints_rest_then_no_encoder_is_bla
     assert blamed(watch(arm, held_by_friction(arm, seed, rest=4.0, most=1.8, moves=4))) == []
 
 
+@pytest.mark.parametrize(('name', 'seed'), [('panda', 508), ('ur10', 510)])
+def test_given_friction_beyond_the_files_when_all_joints_stop_then_it_is_no_load(name, seed):
+    arm = arm_named(name, 0.01, 'derived')
+    monitor = watch(arm, held_by_friction(arm, seed, rest=4.0, most=1.8, moves=1))
+    assert [alarm.kind for alarm in monitor.alarms] == []
+
+
 def stopped(arm, seed, step, moment=10.0, rest=10.0):
     """An arm that brakes stop within 0.15 s; its drives give nothing, and then their hold."""
     motion = [np.broadcast_to(one, len(arm.joints)) for one in motion_range(arm, 0.4)]

@@ -155,6 +155,7 @@ _COLUMNS = np.dtype([
     # As in `Hypothesis`:
     ('joint', 'i8'), ('gain', 'f8'), ('size', 'f8'), ('sigma', 'f8'), ('begin', 'f8'),
     ('starts', 'f8'),
+    ('odds', 'f8'),  # logarithm of the odds that it is true, with its prior
 ])  # fmt: skip
 
 
@@ -173,19 +174,24 @@ class Compared(NamedTuple):
         """Which of them are of a kind, shape (N,)."""
         return np.asarray(self.rows['kind'] == _KINDS.index(kind))
 
+    @property
+    def odds(self) -> float:
+        """Logarithm of the odds that one of them is true."""
+        return float(np.logaddexp.reduce(self.rows['odds']))
+
     def where(self, chosen: BoolArray) -> 'Compared':
         """Those of them that are chosen."""
         return Compared(self.rows[chosen], self.single)
 
     def one(self, k: int) -> Hypothesis:
         """The hypothesis of a row."""
-        kind, single, *values = self.rows[k].item()
+        kind, single, *values, _ = self.rows[k].item()
         return self.single[single] if single >= 0 else Hypothesis(_KINDS[kind], *values)
 
 
 def in_columns(single: list[Hypothesis]) -> np.ndarray:
     """Rows of hypotheses that were compared one by one."""
-    return np.array([(_KINDS.index(one.kind), k, *one[1:7]) for k, one in enumerate(single)],
+    return np.array([(_KINDS.index(one.kind), k, *one[1:7], 0.0) for k, one in enumerate(single)],
                     _COLUMNS)  # fmt: skip
 
 
@@ -310,6 +316,8 @@ class Bank:
         rows = rows[np.isfinite(rows['gain'])]
         total = np.logaddexp.reduce(rows['gain'] + np.log(rows['starts']), initial=-np.inf)
         self._state['statistic'] = total + self._log_weight
+        rows['odds'] = rows['gain'] + np.log(rows['starts'] * _RATES[rows['kind']])
+        rows['odds'][rows['joint'] >= 0] -= math.log(self.estimator.joints)
         return Compared(rows, single)
 
     def shares(self, found: Compared) -> list[tuple[Hypothesis, float]]:
@@ -317,27 +325,16 @@ class Bank:
 
         The most probable one comes first.
         """
-        rows, likely, n = found.rows, self._likely(found), self.estimator.joints
+        rows, n = found.rows, self.estimator.joints
         # A number for each cause: kinds of one sensor's faults are one.
         causes = np.where(found.is_encoder, -1, rows['kind']) * (n + 1) + rows['joint']
         order = np.argsort(-rows['gain'], kind='stable')
         _, first, places = np.unique(causes[order], return_index=True, return_inverse=True)
         total = np.full(len(first), -np.inf)
-        np.logaddexp.at(total, places, likely[order])
+        np.logaddexp.at(total, places, rows['odds'][order])
         shares = np.exp(total - np.logaddexp.reduce(total))
         ranks = np.lexsort((first, -shares)).tolist()
         return [(found.one(order[first[k]]), float(shares[k])) for k in ranks]
-
-    def evidence(self, found: Compared) -> float:
-        """Logarithm of the odds that one of these hypotheses is true."""
-        return float(np.logaddexp.reduce(self._likely(found)))
-
-    def _likely(self, found: Compared) -> FloatArray:
-        """Logarithms of the odds of hypotheses, with their priors, shape (N,)."""
-        rows = found.rows
-        likely = rows['gain'] + np.log(rows['starts'] * _RATES[rows['kind']])
-        likely[rows['joint'] >= 0] -= math.log(self.estimator.joints)
-        return np.asarray(likely)
 
     def _linear(self, count: int) -> np.ndarray:
         """Rows of faults that are linear in their size, of the evidence."""
@@ -533,6 +530,13 @@ class Bank:
         one, null = self.estimator, self.estimator.posterior
         levers = joint_levers(null.dry / one.plan.interval, last)
         return levers * one.window.rest[recent(one.window, last)][:, :, None]
+
+    def friction_gain(self) -> float:
+        """What friction that changes as joints come to rest explains, at best; as of a load."""
+        one, longest = self.estimator, min(int(self._lengths[-1]), len(self.estimator) - 1)
+        columns = one.plan.interval * self._friction_at_rest(longest).swapaxes(1, 2)
+        one.call(set_residuals, one.window, one.posterior, longest + 1)
+        return float(onset_gains(one.window, one.posterior, columns)[0].max())
 
     def _levers(self, last: int) -> tuple[FloatArray, FloatArray]:
         """Of torques on single joints, and of a force on the tip."""

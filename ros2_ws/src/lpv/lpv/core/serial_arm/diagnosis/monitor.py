@@ -591,8 +591,7 @@ class SerialMonitor:
         one, share = shares[0]
         # What a jump explains is weighed on its own, and stays a rival of other causes.
         own = (every.rows['joint'] == one.joint) & (every.is_encoder == one.is_encoder)
-        total = self.bank.evidence(found)
-        share *= math.exp(total - self.bank.evidence(every.where(~(explained & own))))
+        share *= math.exp(found.odds - every.where(~(explained & own)).odds)
         for i, (gain, largest) in self.bank.free_courses(found, self.settings.sigmas).items():
             self._rival = max(self._rival, gain)
             if not one.is_encoder:
@@ -601,7 +600,7 @@ class SerialMonitor:
         begins = (other.begin for other in likely if other.kind in OUTSIDE)
         self._contact.begin = min(self._contact.begin, *begins, math.inf)
         outside = sum(other for cause, other in shares if cause.kind in OUTSIDE)
-        outside *= math.exp(total - self.bank.evidence(every))
+        outside *= math.exp(found.odds - every.odds)
         if outside >= 1.0 - wrong:
             self._contact.since = min(self._contact.since, now)
             learned = len(self.estimator) * self.plan.interval > NOISE_KNOWN_AFTER
@@ -615,7 +614,8 @@ class SerialMonitor:
             # A fault would be forgotten with it; what that explains is not found at every decision.
             # A rate that is right again, and still corrected, looks like a load.
             rated = any(record.active for record in self.rates)
-            if one.gain - self._rival > self._sure and not rated:
+            rival = max(self._rival, self.bank.friction_gain())
+            if one.gain - rival > self._sure and not rated:
                 self._change_load(one.begin, one.change)
         elif one.is_encoder:
             if self.bank.excludes_contact(one, self.margin(one.kind)):
