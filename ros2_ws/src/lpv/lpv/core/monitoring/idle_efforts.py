@@ -38,7 +38,7 @@ class IdleSignal:
             self._first = position[read.argmax()].copy()
         moved, is_given = without_efforts(position, values, self._first, self._least)
         had_moved = self._has_moved
-        idle = (moved | had_moved) & ~is_given
+        idle = (moved | had_moved) & ~is_given & np.isfinite(values).any(1)
         values[idle] = np.nan
         self._given, self._has_moved = bool(is_given[-1]), had_moved or bool(idle.any())
         return int(idle.argmax()) if self._has_moved and not had_moved else -1

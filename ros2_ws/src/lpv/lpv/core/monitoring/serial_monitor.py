@@ -154,6 +154,7 @@ class SerialSensorMonitor:
             self.method = f'{METHOD}, unknown-input observer ({uio.method})'
         self._monitor = SteppedMonitor(arm, parameters, uio)
         self._gap = round(LONGEST_STEP * arm.sample_time * NANOSECONDS)
+        self._turns = Turns(arm)
         self._read = Driver(np.full(self._joints, np.nan), np.zeros(1, np.int64))
         self._small = SMALL * arm.scales()
         self._efforts = IdleSignal(self._small)
@@ -189,6 +190,7 @@ class SerialSensorMonitor:
     def reset(self) -> None:
         """Forget estimates and alarms; counters stay."""
         self._read.position[:] = np.nan
+        self._turns = Turns(self.arm)
         self._start_again()
 
     def _start_again(self) -> None:
@@ -199,8 +201,8 @@ class SerialSensorMonitor:
     def _begin(self) -> None:
         """Estimates and alarms of a monitor that has just been reset."""
         self._gate = StampGate()
-        self._turns = Turns(self.arm)
         self._stamp = NEVER  # of the last usable sample [ns]
+        self._counted = 0  # rows of the samples at hand
         self._reading = np.zeros(self._joints)  # of that sample [rad]
         self._repeats = new_repeats(self._joints)
         self._older = 0  # measurements in a row that were older than the last one
@@ -332,6 +334,8 @@ class SerialSensorMonitor:
             if begin == idle:
                 self._start_again()  # what was learned from them is wrong
             regular = self._regular(answers, begin)
+            if begin < idle:
+                regular = min(regular, idle - begin)
             if not regular:
                 row: Any = answers.records[begin : begin + 1]
                 if not self._is_of_stream(int(stamps[begin]), row):
@@ -466,8 +470,7 @@ class SerialSensorMonitor:
             self._monitor.watch_from(int(stamps[0]))
         self._stamp, self._reading = int(stamps[-1]), samples[-1, 0].copy()
         self._gate.follow(self._stamp)
-        self._older = 0
-        self.counters.without_effort += int(np.isnan(samples[:, 2]).any(axis=1).sum())
+        self._older, self._counted = 0, begin
         for first, until, stamp in self._monitor.run(stamps, samples, answers.rows, begin):
             if stamp is None:
                 self._report_due(answers, first, until)
@@ -476,6 +479,7 @@ class SerialSensorMonitor:
                 answers.events += [(first, event) for event in events]
                 if events:
                     self._monitor.progress['next_report'] = NEVER
+        self._count_missing(answers, end)
         self._newest = answers.record(end - 1)
 
     @property
@@ -537,12 +541,19 @@ class SerialSensorMonitor:
     def _is_due(self, stamp: int) -> bool:
         return bool(stamp >= self._monitor.progress['next_report'])
 
+    def _count_missing(self, answers: Answers, until: int) -> None:
+        """Count measurements without efforts of all joints, up to a row."""
+        missing = np.isnan(answers.samples[self._counted : until, 2]).any(axis=1)
+        self.counters.without_effort += int(missing.sum())
+        self._counted = until
+
     def _report_due(self, answers: Answers, first: int, until: int) -> None:
         """Diagnostics reports of samples between two decisions."""
         while first < until and self._is_due(int(answers.stamps[until - 1])):
             due = self._monitor.progress['next_report']
             first += int(np.searchsorted(answers.stamps[first:until], due))
             if first < until:
+                self._count_missing(answers, first + 1)
                 self._report(answers, first)
 
     def _report(self, answers: Answers, row: int) -> None:

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as some
 from places import BRINGUP
 from serial_arms import mixed_arm, with_rates
@@ -20,7 +20,7 @@ RATES = ('derived', 'independent', 'none')
 SPOILS = (
     'rests', 'constant', 'rounded 0.1 mrad', 'rounded 1 mrad', 'repeated', 'missing', 'no rates',
     'no efforts', 'duplicates', 'steps of the clock', 'odd stamps', 'gap', 'huge', 'jump', 'frozen',
-    'wraps', 'differences', 'unread', 'jumps at every sample',
+    'wraps', 'differences', 'unread', 'jumps at every sample', 'zero efforts',
 )  # fmt: skip
 SPOILT = some.lists(some.sampled_from(SPOILS), max_size=5, unique=True)
 FREQUENCIES = some.sampled_from([30.0, 100.0, 250.0, 500.0, 1000.0])
@@ -68,6 +68,8 @@ def spoil(rng, kind, stamps, samples):
         samples[np.ix_(np.arange(begin, end + 1), [int(kind == 'no rates')], of)] = np.nan
     elif kind == 'no efforts':
         samples[part, 2] = np.nan
+    elif kind == 'zero efforts':
+        samples[:, 2] = 0.0
     elif kind == 'duplicates':
         again = rng.integers(1, count, 5)
         stamps[again] = stamps[again - 1]
@@ -109,6 +111,9 @@ def values(answers):
 @settings(max_examples=80, suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large])
 @pytest.mark.slow
 @given(some.integers(1, 7), FREQUENCIES, SPOILT, some.integers(0, 2**32 - 1))
+@example(1, 30.0, ['no efforts'], 0)  # counted up to each report
+@example(3, 30.0, ['no efforts', 'rests', 'constant'], 419101881)  # motion begins in a part
+@example(4, 500.0, ['frozen', 'wraps', 'zero efforts'], 2117931157)  # begins anew between turns
 def test_given_any_data_then_answers_are_numbers_in_any_parts(joints, frequency, spoils, seed):
     rng = np.random.default_rng(seed)
     arm = arm_of(rng, joints, 1.0 / frequency)
