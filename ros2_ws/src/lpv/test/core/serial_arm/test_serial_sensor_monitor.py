@@ -227,7 +227,6 @@ def test_given_a_joint_without_efforts_then_faults_of_others_are_found_and_it_is
 @pytest.mark.parametrize('missing', [0, slice(None)])
 def test_given_efforts_that_are_missing_now_and_then_then_no_sample_is_lost(missing):
     stamps, samples, _ = recorded(duration=4.0)
-    samples = samples.copy()
     samples[50::100, 2, missing] = np.nan
     monitor, answers = observe(stamps, samples)
     assert told(answers) == RAISED and monitor.counters.without_effort == 20

@@ -614,8 +614,8 @@ class SerialMonitor:
             # A fault would be forgotten with it; what that explains is not found at every decision.
             # A rate that is right again, and still corrected, looks like a load.
             rated = any(record.active for record in self.rates)
-            rival = max(self._rival, self.bank.friction_gain())
-            if one.gain - rival > self._sure and not rated:
+            explains_more = one.gain - self._rival > self._sure and not rated
+            if explains_more and one.gain - self.bank.friction_gain() > self._sure:
                 self._change_load(one.begin, one.change)
         elif one.is_encoder:
             if self.bank.excludes_contact(one, self.margin(one.kind)):
