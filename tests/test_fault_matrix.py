@@ -72,7 +72,6 @@ LOST = {
     'ur10 derived drift 0.02': ('ends', BESIDE),
     'real_arm derived stuck': ('size ends', HARDLY),
     'chain3 derived stuck': ('size', WAY),
-    'recorded ur10 derived stuck': ('size', WAY),
 }
 """Claims that a cell does not keep, and why."""
 

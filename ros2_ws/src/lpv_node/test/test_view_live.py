@@ -1,10 +1,12 @@
 """The live view on a running graph: in a browser, over the Foxglove protocol, as ROS topics."""
 
 import asyncio
+import os
 import re
 import socket
 import time
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 
 import numpy as np
 import pytest
@@ -50,6 +52,15 @@ def to_and_fro(folder):
     return f'scenario_file:={folder}/scenario.yaml'
 
 
+def free_port():
+    """A port that nothing listens on, and that no other process is given by asking for any."""
+    first = 10_000 + os.getpid() % 10_000  # below those that systems hand out
+    for port in range(first, first + 1000):
+        with suppress(OSError), socket.create_server(('127.0.0.1', port)):
+            return port
+    raise AssertionError('no free port')
+
+
 @pytest.fixture(scope='module')
 def live(tmp_path_factory):
     """One graph for all tests that look on; the view is there first, and must not start it.
@@ -60,9 +71,7 @@ def live(tmp_path_factory):
     folder, domain = tmp_path_factory.mktemp('live'), ros.next_domain()
     scenario = to_and_fro(folder)
     with ros.graph(folder, domain) as graph:
-        with socket.create_server(('127.0.0.1', 0)) as free:  # a port
-            foxglove = f'foxglove_port:={free.getsockname()[1]}'
-        view = View(graph, folder, scenario, 'port:=0', foxglove)
+        view = View(graph, folder, scenario, 'port:=0', f'foxglove_port:={free_port()}')
         view.domain = domain
         view.foxglove = int(view.find(r'Foxglove: ws://127\.0\.0\.1:(\d+)'))
 
