@@ -239,6 +239,13 @@ def test_given_a_slow_lift_when_initialised_then_its_path_is_as_slow(tmp_path, i
     assert np.abs(motion.velocity).max(axis=0)[0] < 0.65 * arm.velocity_limit[0]
 
 
+def test_given_what_a_simulator_adds_when_initialised_then_it_is_left_out(init):
+    """Attributes and elements of its own, whose prefix is not declared; limits beyond any drive."""
+    urdf = re.sub('velocity="[^"]*"', 'velocity="50000" drake:acceleration="9"', GRIPPER, count=1)
+    arm, _ = init(*HELD, urdf=urdf.replace('</robot>', '<drake:chain/></robot>'))
+    assert arm.velocity_limit[0] == 100.0  # as of a joint without a limit
+
+
 def test_given_friction_without_rotors_when_initialised_then_what_to_state_is_told(tmp_path, call):
     damped = GRIPPER.replace('damping="0.5"', 'damping="5e4"').replace('"500"', '"1e6"')
     (tmp_path / 'arm.urdf').write_text(damped)

@@ -245,8 +245,9 @@ def _joint(model: 'pinocchio.Model', index: int, urdf: Urdf, source: str) -> Ser
     limits = JointLimits(
         _endless(model.lowerPositionLimit[index - 1]),
         _endless(model.upperPositionLimit[index - 1]),
-        _positive(model.velocityLimit[index - 1], 100.0),
-        _positive(model.upperEffortLimit[index - 1], LARGEST),
+        # What no drive reaches stands for none.
+        _within(model.velocityLimit[index - 1], 1e4, 100.0),
+        _within(model.upperEffortLimit[index - 1], LARGEST, LARGEST),
     )
     data = model.createData()
     pinocchio.computeJointJacobians(model, data, np.zeros(model.nq))
@@ -275,8 +276,8 @@ def _endless(value: float) -> float:
     return float(value) if abs(value) < LARGEST else math.copysign(math.inf, value)
 
 
-def _positive(value: Any, default: float) -> float:
-    return float(value) if 0.0 < value < math.inf else default
+def _within(value: Any, highest: float, default: float) -> float:
+    return float(value) if 0.0 < value <= highest else default
 
 
 def _triple(values: Any) -> tuple[float, float, float]:

@@ -9,6 +9,7 @@ from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 from typing import NamedTuple
 from xml.etree import ElementTree
+from xml.parsers import expat
 
 from lpv.core.support.config import MAX_BYTES, read_at_most
 from lpv.core.support.errors import ConfigError
@@ -44,7 +45,7 @@ class _Builder(ElementTree.TreeBuilder):
         super().__init__()
         self._depth = 0
 
-    def doctype(self, name: str, pubid: str | None, system: str | None) -> None:
+    def doctype(self, *_: object) -> None:
         """Called at a document type, where entities are declared."""
         raise ValueError('a document type is not allowed')
 
@@ -118,9 +119,14 @@ def _parse(path: Path) -> ElementTree.Element:
         raise _error(path, f'cannot be read ({error.strerror})') from error
     if len(data) > MAX_BYTES:
         raise _error(path, f'is larger than {MAX_BYTES} bytes')
+    # Without namespaces, as parsers of URDFs read: simulators' prefixes are rarely declared.
+    builder, parser = _Builder(), expat.ParserCreate()
+    parser.StartElementHandler, parser.EndElementHandler = builder.start, builder.end
+    parser.StartDoctypeDeclHandler = builder.doctype
     try:
-        root = ElementTree.fromstring(data, ElementTree.XMLParser(target=_Builder()))
-    except (ElementTree.ParseError, ValueError, LookupError) as error:
+        parser.Parse(data, True)
+        root = builder.close()
+    except (expat.ExpatError, ValueError, LookupError) as error:
         raise _error(path, f'is not XML ({error})') from error
     if root.tag != 'robot':
         raise _error(path, f'must have the root element robot, has {root.tag[:100]!r}')
