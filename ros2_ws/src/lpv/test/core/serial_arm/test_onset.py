@@ -53,7 +53,7 @@ def dense_onsets(monitor, end):
         momentum = window.momenta[estimator.place(back), :, JOINT]
         for place in onset.PLACES:
             begin = end - (back + 1 - place) * interval
-            since = begin - estimator.balance.clock[balance.EPOCH]
+            since = begin - estimator.balance.epoch[0]
             effect = np.zeros((LAST, n))
             effect[:back] = rows[:back, :, 1 + balance.DRIFT * n + JOINT]
             effect[:back] -= since * rows[:back, :, 1 + balance.OFFSET * n + JOINT]
@@ -124,7 +124,7 @@ def test_given_a_drift_that_is_tried_then_it_changes_balances_as_blocks_without_
     size, freed, rows = found[0, -1, drift_trial.SIZE], blocks.copy(), []
     drift_trial.free_of_drift(blocks, JOINT, 1.0, BEGIN, size, freed)
     for some in (blocks, freed):
-        rows.append(np.empty((LAST, *one.rows.shape)))
+        rows.append(np.empty((LAST, *one.hat.rows.shape)))
         balance.fill_balances(balance.scratch_of(one), some, per, rows[-1])
     changes, columns = trials.changes[0], 1 + n * np.array([balance.VISCOUS, balance.COULOMB])
     np.testing.assert_allclose(changes[:, :, 0], (rows[1] - rows[0])[:, :, 0], atol=1e-12)

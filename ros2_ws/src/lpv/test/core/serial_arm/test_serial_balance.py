@@ -43,7 +43,7 @@ def rows_of(chain, blocks, directions=None, reference=(0.0, 0.0, 0.0), drives=No
     directions = np.zeros((0, 3, 10)) if directions is None else directions
     balance = balances.new_balance(chain, directions, np.ones(3), drives)
     balance.reference[:] = reference
-    rows = np.empty((len(blocks) // PER_INTERVAL - 1, *balance.rows.shape))
+    rows = np.empty((len(blocks) // PER_INTERVAL - 1, *balance.hat.rows.shape))
     balances.fill_balances(balance, blocks, PER_INTERVAL, rows)
     return rows
 
@@ -171,7 +171,7 @@ def test_factor_solves_and_whitens():
 
 def test_reversals_are_told(blocks):
     balance = balances.new_balance(CHAIN, np.zeros((0, 3, 10)), np.ones(3))
-    own, rows = blocks[: 2 * PER_INTERVAL].copy(), np.empty((1, *balance.rows.shape))
+    own, rows = blocks[: 2 * PER_INTERVAL].copy(), np.empty((1, *balance.hat.rows.shape))
     for rates, expected in ((1.0, False), (np.linspace(-1.0, 1.0, len(own))[:, None], True)):
         own[:, 3:6] = rates
         balances.fill_balances(balance, own, PER_INTERVAL, rows)

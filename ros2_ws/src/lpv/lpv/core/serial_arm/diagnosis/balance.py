@@ -8,12 +8,13 @@ which needs no acceleration and averages the noise of the rates.  q = y - f, so 
 the faults; it is linear in all parameters.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from lpv.core.serial_arm.chain import SLOPE, Chain, FloatArray, joint_count, workspace
 from lpv.core.serial_arm.description import JointFriction
+from lpv.core.serial_arm.diagnosis.hat import Hat, close_hat, drop_hat, new_hat, put
 from lpv.core.serial_arm.diagnosis.priors import SLOW_RATE
 from lpv.core.serial_arm.dynamics.friction import drive_friction, smooth_sign
 from lpv.core.serial_arm.dynamics.momentum import carried_momentum, momentum_balance, set_velocities
@@ -29,8 +30,6 @@ of a healthy arm are the columns from `OFFSET` on."""
 DRIFT, SCALE, RATE, GAIN, OFFSET, TORQUE, VISCOUS, COULOMB = range(8)
 VISCOUS_PART, COULOMB_PART, LOAD_PART, OFFSET_PART, GAIN_PART, DELAY_PART = range(6)
 """Columns of `Balance.drives`: those of `Chain.friction`, the gain, and the efforts' delay."""
-LENGTH, EPOCH = range(2)
-"""Entries of `Balance.clock`."""
 _STEEPEST = JointFriction.coulomb_slope
 """Slope of the sign of a rate, at most: files that state none have it [s/rad]."""
 _STEP = 1e-5
@@ -41,8 +40,7 @@ _STEP = 1e-5
 class Balance(NamedTuple):
     """State of the balances of one arm.
 
-    Columns of ``momentum`` and ``impulses`` are the residual's parts first, then those of `GROUPS`
-    and of the inertial directions.
+    Columns are the residual first, then those of `GROUPS` and of the inertial directions.
 
     Attributes
     ----------
@@ -54,14 +52,10 @@ class Balance(NamedTuple):
         Faults f at which the balance is linearised [rad].
     derived : ndarray, shape (n,)
         1 where a rate comes from its encoder, so that a drift and a scale error enter both.
-    momentum : ndarray, shape (2, n, columns)
-        Integral of p over the previous and the current interval [N m s2].
-    rising, falling : ndarray, shape (2, n, columns)
-        Integrals of the forces, weighted by the two halves of the hat [N m s].
-    rows : ndarray, shape (n, columns)
-        Residual and derivatives of the last complete hat [N m s].
-    clock : ndarray, shape (2,)
-        Length of the previous interval, 0 if there is none; moment from which drifts count [s].
+    hat : Hat
+        Its rows are residual and derivatives.
+    epoch : ndarray, shape (1,)
+        Moment from which drifts count [s].
     poses : ndarray, shape (2, n)
         Joint positions at the ends of the previous and of the current interval [rad].
     rates : ndarray, shape (3, 2, n)
@@ -84,11 +78,8 @@ class Balance(NamedTuple):
     directions: FloatArray
     reference: FloatArray
     derived: FloatArray
-    momentum: FloatArray
-    rising: FloatArray
-    falling: FloatArray
-    rows: FloatArray
-    clock: FloatArray
+    hat: Hat
+    epoch: FloatArray
     poses: FloatArray
     rates: FloatArray
     rigid: FloatArray
@@ -118,12 +109,11 @@ def new_balance(
     (``to_joints``), and all joints turn (``scale``).
     """
     n = joint_count(chain)
-    size = (n, column_count(n, len(directions)))
     along = np.zeros((len(directions), n, 6)) if drives is None else drives
     return Balance(
         chain, np.ascontiguousarray(directions, dtype=float), np.zeros(n),
-        np.ascontiguousarray(derived, dtype=float), np.zeros((2, *size)), np.zeros((2, *size)),
-        np.zeros((2, *size)), np.zeros(size), np.zeros(2), np.zeros((2, n)), _no_rates(n),
+        np.ascontiguousarray(derived, dtype=float),
+        new_hat(n, column_count(n, len(directions))), np.zeros(1), np.zeros((2, n)), _no_rates(n),
         np.zeros((n, n)), workspace(chain), np.zeros((10, n)), along,
         np.eye(n) if to_joints is None else np.ascontiguousarray(to_joints),
         np.ones(n) if scale is None else scale)  # fmt: skip
@@ -133,21 +123,6 @@ def _no_rates(n: int) -> FloatArray:
     rates = np.full((3, 2, n), np.inf)
     rates[:, 1] = -np.inf
     return rates
-
-
-@njit_in_place
-def put(
-    balance: Any, column: int, row: int, parts: tuple[float, float], weight: tuple[float, float]
-) -> None:
-    """Add momentum and force of one entry, weighted by block length and place in the interval.
-
-    ``balance`` is any record with ``momentum``, ``rising`` and ``falling`` of two intervals.
-    """
-    momentum, force = parts
-    length, place = weight
-    balance.momentum[1, row, column] += length * momentum
-    balance.rising[1, row, column] += length * place * force
-    balance.falling[1, row, column] += length * (1.0 - place) * force
 
 
 @njit_in_place
@@ -164,7 +139,7 @@ def add_residual(
     momentum_balance(balance.chain, angle, rate, balance.work, p, force)
     drive_friction(balance.chain, rate, torque, friction)
     for i in range(y.shape[0]):
-        put(balance, 0, i, (p[i], force[i] + torque[i] - friction[i]), weight)
+        put(balance.hat, 0, i, (p[i], force[i] + torque[i] - friction[i]), weight)
 
 
 @njit_in_place
@@ -191,14 +166,14 @@ def add_block(
         balance.rates[2, 0, i] = min(balance.rates[2, 0, i], rate[i])
         balance.rates[2, 1, i] = max(balance.rates[2, 1, i], rate[i])
         row = 1 + i
-        put(balance, row + TORQUE * n, i, (0.0, -1.0), weight)
-        put(balance, row + VISCOUS * n, i, (0.0, -rate[i]), weight)
-        put(balance, row + COULOMB * n, i,
+        put(balance.hat, row + TORQUE * n, i, (0.0, -1.0), weight)
+        put(balance.hat, row + VISCOUS * n, i, (0.0, -rate[i]), weight)
+        put(balance.hat, row + COULOMB * n, i,
              (0.0, -smooth_sign(rate[i], chain.friction[i, SLOPE])), weight)  # fmt: skip
-        put(balance, row + GAIN * n, i, (0.0, torque[i]), weight)
+        put(balance.hat, row + GAIN * n, i, (0.0, torque[i]), weight)
     for i in range(n):
         reading = y[i] - balance.reference[i], v[i]
-        _add_fault_columns(balance, i, reading, torque, time - balance.clock[EPOCH], weight)
+        _add_fault_columns(balance, i, reading, torque, time - balance.epoch[0], weight)
     set_velocities(chain, angle, rate, balance.work)
     for k in range(balance.directions.shape[0]):
         carried_momentum(
@@ -212,7 +187,7 @@ def add_block(
             if dry != 0.0:
                 lost += dry * smooth_sign(rate[j], chain.friction[j, SLOPE])
             late = part[DELAY_PART] * torque[j]
-            put(balance, column, j, (p_by[j] - late, force_by[j] - lost), weight)
+            put(balance.hat, column, j, (p_by[j] - late, force_by[j] - lost), weight)
 
 
 @njit_in_place
@@ -252,49 +227,32 @@ def _add_fault_columns(
                 smooth_sign(rate[j] + 0.5 / slip, slip) - smooth_sign(rate[j] - 0.5 / slip, slip)
             ) * slip
             force_v += share[j] * (row[0] + dry * bend)
-        put(balance, 1 + OFFSET * n + i, j, (p_f, force_f), weight)
-        put(balance, 1 + RATE * n + i, j, (p_v, force_v), weight)
+        put(balance.hat, 1 + OFFSET * n + i, j, (p_f, force_f), weight)
+        put(balance.hat, 1 + RATE * n + i, j, (p_v, force_v), weight)
         drift = (time * p_f + derived * p_v, time * force_f + derived * force_v)
-        put(balance, 1 + DRIFT * n + i, j, drift, weight)
+        put(balance.hat, 1 + DRIFT * n + i, j, drift, weight)
         scale = (
             reading[0] * p_f + derived * reading[1] * p_v,
             reading[0] * force_f + derived * reading[1] * force_v,
         )
-        put(balance, 1 + SCALE * n + i, j, scale, weight)
+        put(balance.hat, 1 + SCALE * n + i, j, scale, weight)
 
 
 @njit_in_place
 def close_interval(balance: Balance, length: float) -> bool:
     """End the current interval, which becomes the previous one; true if a hat is complete.
 
-    Then ``rows`` of the balance hold the residual and its derivatives.  ``length`` is the
+    Then ``hat.rows`` of the balance hold the residual and its derivatives.  ``length`` is the
     interval's [s].
     """
-    complete = balance.clock[LENGTH] > 0.0
-    n, columns = balance.rows.shape
-    for i in range(n):
-        for c in range(columns):
-            if complete:
-                balance.rows[i, c] = (
-                    balance.momentum[1, i, c] / length
-                    - balance.momentum[0, i, c] / balance.clock[LENGTH]
-                    - balance.rising[0, i, c]
-                    - balance.falling[1, i, c]
-                )
-            balance.momentum[0, i, c] = balance.momentum[1, i, c]
-            balance.rising[0, i, c] = balance.rising[1, i, c]
-            balance.momentum[1, i, c] = 0.0
-            balance.rising[1, i, c] = 0.0
-            balance.falling[1, i, c] = 0.0
-    balance.clock[LENGTH] = length
-    for i in range(n):
+    for i in range(balance.reference.shape[0]):
         balance.poses[0, i] = balance.poses[1, i]
         balance.poses[1, i] = balance.vectors[0, i]
         for side in range(2):
             balance.rates[0, side, i] = balance.rates[1, side, i]
             balance.rates[1, side, i] = balance.rates[2, side, i]
         balance.rates[2, 0, i], balance.rates[2, 1, i] = np.inf, -np.inf
-    return complete
+    return close_hat(balance.hat, length)
 
 
 @njit_in_place
@@ -309,31 +267,27 @@ def rests(balance: Balance, joint: int) -> bool:
 @njit_in_place
 def move_epoch(balance: Balance, epoch: float) -> None:
     """Let drifts count from another moment; what has been integrated follows."""
-    n, shift = balance.reference.shape[0], epoch - balance.clock[EPOCH]
-    for part in (balance.momentum, balance.rising, balance.falling):
-        for k in range(2):
-            for i in range(n):
-                for j in range(n):
-                    offset = part[k, i, 1 + OFFSET * n + j]
-                    part[k, i, 1 + DRIFT * n + j] -= shift * offset
-    balance.clock[EPOCH] = epoch
+    n, shift, hat = balance.reference.shape[0], epoch - balance.epoch[0], balance.hat
+    for part in (hat.momentum[0], hat.momentum[1], hat.rising[0], hat.rising[1], hat.falling):
+        for i in range(n):
+            for j in range(n):
+                part[i, 1 + DRIFT * n + j] -= shift * part[i, 1 + OFFSET * n + j]
+    balance.epoch[0] = epoch
 
 
 @njit_in_place
 def drop_interval(balance: Balance) -> None:
     """Forget the intervals so far, after a gap in the samples."""
-    balance.momentum[:] = 0.0
-    balance.rising[:] = 0.0
-    balance.falling[:] = 0.0
+    drop_hat(balance.hat)
     balance.rates[:, 0] = np.inf
     balance.rates[:, 1] = -np.inf
-    balance.clock[LENGTH] = 0.0
 
 
 def scratch_of(balance: Balance) -> Balance:
     """A balance of the same arm at the same point, with intervals and scratch of its own."""
-    own = ('momentum', 'rising', 'falling', 'rows', 'clock', 'poses', 'rates', 'work', 'vectors')
-    return balance._replace(**{name: getattr(balance, name).copy() for name in own})
+    own = ('epoch', 'poses', 'rates', 'work', 'vectors')
+    copies = {name: getattr(balance, name).copy() for name in own}
+    return balance._replace(hat=new_hat(*balance.hat.rows.shape), **copies)
 
 
 @njit_in_place
@@ -358,6 +312,6 @@ def fill_balances(
             if close_interval(balance, length):
                 for i in range(n):
                     for c in range(rows.shape[2]):
-                        rows[count, i, c] = balance.rows[i, c]
+                        rows[count, i, c] = balance.hat.rows[i, c]
                 count += 1
             length = 0.0

@@ -27,16 +27,7 @@ import numpy.typing as npt
 
 from lpv.core.serial_arm.chain import BoolArray, FloatArray
 from lpv.core.serial_arm.description import SerialArm
-from lpv.core.serial_arm.diagnosis.balance import (
-    DRIFT,
-    EPOCH,
-    GAIN,
-    OFFSET,
-    RATE,
-    SCALE,
-    TORQUE,
-    Balance,
-)
+from lpv.core.serial_arm.diagnosis.balance import DRIFT, GAIN, OFFSET, RATE, SCALE, TORQUE, Balance
 from lpv.core.serial_arm.diagnosis.contact import (
     Contact,
     force_levers,
@@ -669,11 +660,11 @@ def ask_bank(
     sum_rows(own, bank.interval, lengths[: state.windows], rows)
     every, pushed = gather(
         bank.evidence, bank.kinds, window, null, bank.outside, rows, bank.to_sensors,
-        (balance.clock[EPOCH], bank.interval), bank.unseen, bank.noise, state.windows)  # fmt: skip
+        (balance.epoch[0], bank.interval), bank.unseen, bank.noise, state.windows)  # fmt: skip
     state.statistic = np.logaddexp(every, pushed) + bank.log_weight
     found = not state.statistic < quiet
     if found:
-        explain(bank.evidence, bank.kinds, window, null, rows, balance.clock[EPOCH], state.windows)
+        explain(bank.evidence, bank.kinds, window, null, rows, balance.epoch[0], state.windows)
     else:
         window.explained[:] = 0.0
         if own.held[0] > 1:

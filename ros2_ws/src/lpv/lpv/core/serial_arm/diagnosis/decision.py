@@ -231,7 +231,7 @@ def decide(parts: Parts) -> None:
         if state.guarantees:
             half = parts.recent.shape[0] // 2
             take_healthy(
-                parts.healthy, window, parts.balance.rows, parts.recent, half, state.learns
+                parts.healthy, window, parts.balance.hat.rows, parts.recent, half, state.learns
             )
         take_balances(*horizon, parts.balance, state.now, state.learns)
         if leave_out_missing(window, parts.sampler, 2 * plan[1] + DELAY):

@@ -14,18 +14,9 @@ from typing import NamedTuple
 import numpy as np
 
 from lpv.core.serial_arm.chain import SLOPE, FloatArray, IntArray
-from lpv.core.serial_arm.diagnosis.balance import (
-    LENGTH,
-    OFFSET,
-    VISCOUS,
-    Balance,
-    add_residual,
-    close_interval,
-    drop_interval,
-    put,
-    scratch_of,
-)
+from lpv.core.serial_arm.diagnosis.balance import OFFSET, VISCOUS, Balance, add_residual, scratch_of
 from lpv.core.serial_arm.diagnosis.estimator import Posterior
+from lpv.core.serial_arm.diagnosis.hat import close_hat, drop_hat, new_hat, put
 from lpv.core.serial_arm.diagnosis.information import Window, factorise, recent, whiten
 from lpv.core.serial_arm.diagnosis.priors import SLOW_RATE
 from lpv.core.serial_arm.dynamics.friction import smooth_sign
@@ -74,11 +65,9 @@ def balance_of_trials(balance: Balance, friction: FloatArray) -> Balance:
 
     Its columns are the residual, and derivatives by viscous and by Coulomb friction.
     """
-    n = len(balance.reference)
     return scratch_of(balance)._replace(
-        chain=balance.chain._replace(friction=friction), momentum=np.zeros((2, n, 3)),
-        rising=np.zeros((2, n, 3)), falling=np.zeros((2, n, 3)), rows=np.zeros((n, 3)),
-    )  # fmt: skip
+        chain=balance.chain._replace(friction=friction), hat=new_hat(len(friction), 3)
+    )
 
 
 def new_found(onsets: FloatArray) -> FloatArray:
@@ -121,7 +110,7 @@ def _set_changes(
     free_of_drift(
         trials.blocks[first:], joint, own.derived[joint], begin, size, trials.freed[first:]
     )
-    rate, length, own.clock[LENGTH] = own.vectors[1], 0.0, 0.0
+    rate, length, own.hat.length[0] = own.vectors[1], 0.0, 0.0
     for k in range(first, trials.blocks.shape[0]):
         block, force = trials.freed[k], trials.forces[k]
         y, v, torque = block[:n], block[n : 2 * n], block[2 * n : 3 * n]
@@ -129,20 +118,21 @@ def _set_changes(
         if block[3 * n] + 0.5 * weight[0] > begin:
             add_residual(own, y, v, torque, weight)
             for i in range(n):
-                put(own, 0, i, (-force[0, i], -force[1, i]), weight)
+                put(own.hat, 0, i, (-force[0, i], -force[1, i]), weight)
         else:  # before the onset nothing is changed
             map_vector(own.to_joints, v, rate)
         for i in range(n):
             if which == 0 and share[i] != 0.0:
                 sign = smooth_sign(rate[i], own.chain.friction[i, SLOPE])
-                put(own, 1, i, (0.0, -rate[i]), weight)
-                put(own, 2, i, (0.0, -sign), weight)
+                put(own.hat, 1, i, (0.0, -rate[i]), weight)
+                put(own.hat, 2, i, (0.0, -sign), weight)
         length += weight[0]
         if (k + 1) % per_interval == 0:
-            if close_interval(own, length):
+            if close_hat(own.hat, length):
+                change = trials.changes[which, (k + 1) // per_interval - 2]
                 for i in range(n):
                     for c in range(3):
-                        trials.changes[which, (k + 1) // per_interval - 2, i, c] = own.rows[i, c]
+                        change[i, c] = own.hat.rows[i, c]
             length = 0.0
 
 
@@ -245,12 +235,12 @@ def compare_drifts(
     (count, n), first = trials.residual.shape, 2 * onsets.shape[1]
     for k in range(trials.blocks.shape[0]):
         block = trials.blocks[k]
-        drop_interval(own)
+        drop_hat(own.hat)
         add_residual(own, block[:n], block[n : 2 * n], block[2 * n : 3 * n], (1.0, 0.0))
         for i in range(n):
-            trials.forces[k, 0, i] = own.momentum[1, i, 0]
-            trials.forces[k, 1, i] = own.falling[1, i, 0]
-    drop_interval(own)
+            trials.forces[k, 0, i] = own.hat.momentum[1, i, 0]
+            trials.forces[k, 1, i] = own.hat.falling[i, 0]
+    drop_hat(own.hat)
     found[:] = -np.inf
     for j in range(joints.shape[0]):
         joint, every = joints[j], found[j]

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lpv.core.serial_arm.chain import FloatArray
-from lpv.core.serial_arm.diagnosis.balance import DRIFT, EPOCH, OFFSET
+from lpv.core.serial_arm.diagnosis.balance import DRIFT, OFFSET
 from lpv.core.serial_arm.diagnosis.bank import Bank
 from lpv.core.serial_arm.diagnosis.estimator import OffsetEstimator
 from lpv.core.serial_arm.diagnosis.fault_filter import begin_frozen
@@ -111,7 +111,7 @@ class EndOfFault:
         begin = (self.time - self.ages)[:, None]
         rate = (-self.jump * self.ramps / self.ages)[:, None]
         ramps = (end > begin + 0.5 * span) & (end <= self.time)
-        shift = begin - estimator.balance.clock[EPOCH]
+        shift = begin - estimator.balance.epoch[0]
         columns = (rate * ramps)[:, :, None] * (drift - shift[:, :, None] * offset)
         columns -= np.where(end > self.time, self.jump, 0.0)[None, :, None] * offset
         # What holds the jump itself was made of readings before and after it.

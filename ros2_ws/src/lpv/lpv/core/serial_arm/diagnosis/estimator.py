@@ -19,7 +19,6 @@ from lpv.core.serial_arm.description import SIGMAS, UNSTATED_FRICTION, SerialArm
 from lpv.core.serial_arm.diagnosis.balance import (
     DELAY_PART,
     DRIFT,
-    EPOCH,
     OFFSET,
     READINGS_AT_EDGES,
     Balance,
@@ -250,11 +249,11 @@ def take_balances(
     """
     n, past = balance.reference.shape[0], PAST_WEIGHT if learn else -PAST_WEIGHT
     if window.counters[NEXT] % window.times.shape[0] == 0:  # drifts stay small over days
-        shift = time - balance.clock[EPOCH]
+        shift = time - balance.epoch[0]
         move_drifts(window, 1 + DRIFT * n, 1 + OFFSET * n, n, shift)
         move_epoch(balance, time)
-    make_absolute(balance.rows, balance.reference)
-    join(window, time, balance.rows, past)
+    make_absolute(balance.hat.rows, balance.reference)
+    join(window, time, balance.hat.rows, past)
     at = slot(window, 0)
     for i in range(n):
         window.poses[at, i] = balance.poses[0, i]
@@ -613,7 +612,7 @@ class OffsetEstimator:
 
     def _evaluate(self, balance: Balance, blocks: FloatArray, at: IntArray) -> FloatArray:
         """Rows of the balances at places of the ring, of which these are, or end, the blocks."""
-        rows = np.empty((len(blocks) // self.plan.blocks - 1, *balance.rows.shape))
+        rows = np.empty((len(blocks) // self.plan.blocks - 1, *balance.hat.rows.shape))
         blocks = np.ascontiguousarray(blocks)
         self.call(fill_balances, balance, blocks, self.plan.blocks, rows)
         self.call(make_absolute, rows.reshape(-1, rows.shape[2]), balance.reference)

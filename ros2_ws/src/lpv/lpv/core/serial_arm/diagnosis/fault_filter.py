@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from lpv.core.serial_arm.chain import FloatArray
-from lpv.core.serial_arm.diagnosis.balance import DRIFT, EPOCH, OFFSET, RATE, SCALE
+from lpv.core.serial_arm.diagnosis.balance import DRIFT, OFFSET, RATE, SCALE
 from lpv.core.serial_arm.diagnosis.estimator import STRAIGHT, OffsetEstimator
 from lpv.core.serial_arm.diagnosis.information import ROBUST, whiten
 from lpv.core.serial_arm.diagnosis.priors import (
@@ -160,7 +160,7 @@ class FaultFilter:
         if self.is_scale:
             scale = rows[:, 1 + SCALE * n + i] + balance.reference[i] * offset
             return np.stack([scale, offset, 0.0 * offset], axis=1) / (1.0 + self.mean[0])
-        drift = rows[:, 1 + DRIFT * n + i] - (self.updated - balance.clock[EPOCH]) * offset
+        drift = rows[:, 1 + DRIFT * n + i] - (self.updated - balance.epoch[0]) * offset
         # The rate changes by a T from interval to interval, and is on average less than then.
         ago, momentum = self.updated - end + interval, estimator.window.momenta[at, :, i]
         bend = 0.5 * (ago**2 + interval**2 / 6.0) * offset

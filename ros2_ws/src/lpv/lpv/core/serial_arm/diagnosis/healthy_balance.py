@@ -24,7 +24,8 @@ from lpv.core.serial_arm.chain import (
 )
 from lpv.core.serial_arm.description import SIGMAS
 from lpv.core.serial_arm.diagnosis.balance import OFFSET as _READING
-from lpv.core.serial_arm.diagnosis.balance import RATE, put
+from lpv.core.serial_arm.diagnosis.balance import RATE
+from lpv.core.serial_arm.diagnosis.hat import Hat, close_hat, new_hat, put
 from lpv.core.serial_arm.diagnosis.parameter_set import ParameterSet
 from lpv.core.serial_arm.dynamics.friction import acting_share, smooth_sign
 from lpv.core.serial_arm.dynamics.momentum import mass_matrix
@@ -45,12 +46,9 @@ class HealthyBalance(NamedTuple):
 
     chain: Chain  # the nominal arm
     sizes: ParameterSet  # what may differ
-    momentum: FloatArray  # (2, n, 10 n + 7) as of `Balance`: the regressor, then parts of one joint
-    rising: FloatArray  # (2, n, 10 n + 7) likewise
-    falling: FloatArray  # (2, n, 10 n + 7) likewise
+    hat: Hat  # of 10 n + 7 columns: the regressor, then parts of one joint
     slack: FloatArray  # (2, 2, n) both intervals, rising and falling: what blocks hide [N m s]
     variance: FloatArray  # (2, 2, n) likewise: of the noise in friction [N2 m2 s2]
-    row: FloatArray  # (n, 10 n + 7) of the last complete hat
     last: FloatArray  # (3, n) means q, v and net force of the block before
     # (2, n) last change of the mean torques from one interval to the next, and its own, as held
     bent: FloatArray
@@ -65,10 +63,9 @@ class HealthyBalance(NamedTuple):
 def new_healthy_balance(chain: Chain, sizes: ParameterSet, to_joints: FloatArray) -> HealthyBalance:
     """Balances without samples."""
     n = len(chain.translation)
-    size = (2, n, 10 * n + _PARTS)
     return HealthyBalance(
-        chain, sizes, np.zeros(size), np.zeros(size), np.zeros(size), np.zeros((2, 2, n)),
-        np.zeros((2, 2, n)), np.zeros(size[1:]), np.full((3, n), np.inf), np.zeros((2, n)),
+        chain, sizes, new_hat(n, 10 * n + _PARTS), np.zeros((2, 2, n)), np.zeros((2, 2, n)),
+        np.full((3, n), np.inf), np.zeros((2, n)),
         np.zeros((n, 10 * n)), np.zeros((n, 10 * n)), workspace(chain), np.zeros((n, n)), to_joints,
         np.zeros((2, n)))  # fmt: skip
 
@@ -104,6 +101,7 @@ def _add_block(
     map_vector(balance.to_joints, block[:n], q)
     map_vector(balance.to_joints, block[n : 2 * n], v)
     torque, length, place = block[2 * n : 3 * n], block[3 * n + 1], block[3 * n + 2]
+    weight = length, place
     momentum_regressor(chain, q, v, balance.work, balance.first, balance.second)
     mass_matrix(chain, q, balance.work, balance.matrix)
     span, began = 10 * n, balance.last[0, 0] != np.inf
@@ -126,16 +124,14 @@ def _add_block(
                 momentum, effect = balance.first[i, c], balance.second[i, c]
                 p += momentum * chain.inertial[a, k]
                 force += effect * chain.inertial[a, k]
-                balance.momentum[1, i, c] += length * momentum
-                balance.rising[1, i, c] += length * place * effect
-                balance.falling[1, i, c] += length * (1.0 - place) * effect
-        put(balance, span + RESIDUAL, i, (p, force), (length, place))
-        put(balance, span + SPEED, i, (v[i], 0.0), (length, place))
-        put(balance, span + VISCOSITY, i, (0.0, acts * v[i]), (length, place))
-        put(balance, span + DRY, i, (0.0, acts * sign), (length, place))
-        put(balance, span + LOADED, i, (0.0, acts * load * sign), (length, place))
-        put(balance, span + ONE, i, (0.0, acts), (length, place))
-        put(balance, span + TORQUE, i, (torque[i], 0.0), (length, place))
+                put(balance.hat, c, i, (momentum, effect), weight)
+        put(balance.hat, span + RESIDUAL, i, (p, force), weight)
+        put(balance.hat, span + SPEED, i, (v[i], 0.0), weight)
+        put(balance.hat, span + VISCOSITY, i, (0.0, acts * v[i]), weight)
+        put(balance.hat, span + DRY, i, (0.0, acts * sign), weight)
+        put(balance.hat, span + LOADED, i, (0.0, acts * load * sign), weight)
+        put(balance.hat, span + ONE, i, (0.0, acts), weight)
+        put(balance.hat, span + TORQUE, i, (torque[i], 0.0), weight)
         half, even, sizes = 0.0, 0.0, balance.sizes
         if began:
             half = 0.5 * abs(v[i] - balance.last[1, i])
@@ -189,7 +185,7 @@ def _within(rate: float, half: float, slope: float) -> float:
 @njit
 def close_healthy_interval(
     balance: HealthyBalance,
-    lengths: tuple[float, float],
+    length: float,
     rows: FloatArray,
     reading: FloatArray,
     effects: FloatArray,
@@ -197,21 +193,15 @@ def close_healthy_interval(
 ) -> None:
     """End the current interval; with one before it, write what its balance may leave.
 
-    ``lengths`` are those of the interval before, 0 if there is none, and of this one [s].  ``rows``
-    are `Balance.rows` of the same balance; ``reading``, shape (n,), has standard deviations of the
-    mean readings [rad].
+    ``length`` is that of the interval [s].  ``rows`` are those of the same `Balance`; ``reading``,
+    shape (n,), has standard deviations of the mean readings [rad].
 
     Written are ``effects``, shape (n, 1 + k): the residual, then the effect of each generator, see
     `generator_count`; and ``doubts``, shape (2, n): slack [N m s], and the variance of noise except
     that of the mean rates [N2 m2 s2].
     """
-    before, length = lengths
-    n, row, span = effects.shape[0], balance.row, 10 * effects.shape[0]
-    if before > 0.0:
-        for i in range(n):
-            for c in range(row.shape[1]):
-                row[i, c] = balance.momentum[1, i, c] / length - balance.momentum[0, i, c] / before
-                row[i, c] -= balance.rising[0, i, c] + balance.falling[1, i, c]
+    n, row, span = effects.shape[0], balance.hat.rows, 10 * effects.shape[0]
+    if close_hat(balance.hat, length):
         sizes, count = balance.sizes, balance.sizes.inertial.shape[0]
         effects[:, 1 + count :] = 0.0
         for i in range(n):
@@ -242,14 +232,8 @@ def close_healthy_interval(
                 doubts[0, i] += sizes.rounding[j] * effect
                 doubts[1, i] += (reading[j] * effect) ** 2
     for i in range(n):
-        for c in range(row.shape[1]):
-            balance.momentum[0, i, c] = balance.momentum[1, i, c]
-            balance.rising[0, i, c] = balance.rising[1, i, c]
         for side in range(2):
             balance.slack[0, side, i] = balance.slack[1, side, i]
             balance.variance[0, side, i] = balance.variance[1, side, i]
-    balance.momentum[1] = 0.0
-    balance.rising[1] = 0.0
-    balance.falling[1] = 0.0
     balance.slack[1] = 0.0
     balance.variance[1] = 0.0

@@ -20,6 +20,7 @@ from lpv.core.serial_arm.chain import FloatArray, IntArray, compile_chain
 from lpv.core.serial_arm.description import SIGMAS, SerialArm
 from lpv.core.serial_arm.diagnosis.balance import READINGS_AT_EDGES
 from lpv.core.serial_arm.diagnosis.estimator import PAST_WEIGHT, OffsetEstimator, Posterior
+from lpv.core.serial_arm.diagnosis.hat import drop_hat
 from lpv.core.serial_arm.diagnosis.healthy_balance import (
     HealthyBalance,
     add_healthy_blocks,
@@ -41,9 +42,9 @@ from lpv.core.serial_arm.diagnosis.stuck import LINEAR
 from lpv.core.serial_arm.sensor_map import map_rows
 from lpv.core.support.jit import njit_in_place
 
-SLACK, NOISE, LENGTH = range(3)
+SLACK, NOISE = range(2)
 """Entries of `HealthyRing.past`: sum of squared slack times weight, largest variance of noise times
-weight, of what is remembered; length of the interval before [s]."""
+weight, of what is remembered."""
 LEAST_RESPONSE = 0.05
 """An estimate that shows less of an offset is no evidence of one."""
 
@@ -81,7 +82,7 @@ class HealthyRing(NamedTuple):
     effects: FloatArray  # (capacity, n, 1 + k) residual, then the effect of each generator
     doubts: FloatArray  # (capacity, 2, n) as of `close_healthy_interval`
     right: FloatArray  # (m, 1 + k) A^T W E of what is remembered
-    past: FloatArray  # (3,) see `SLACK`
+    past: FloatArray  # (2,) see `SLACK`
     block_noise: FloatArray  # (n,) standard deviation of mean joint rates of a block [rad/s]
     mean_reading: FloatArray  # (n,) of mean readings of an interval [rad]
     mean_noise: FloatArray  # (n,) of their mean rates [rad/s]
@@ -103,7 +104,7 @@ def take_healthy(
     of B blocks.  What leaves the horizon is remembered if ``learn``.
     """
     capacity, last = ring.effects.shape[0], blocks.shape[0] - per_interval
-    if ring.past[LENGTH] == 0.0:
+    if ring.balance.hat.length[0] == 0.0:
         _add(ring, rows, blocks[:last], 0)
     if window.counters[COUNT] == capacity:
         remember(ring, window, slot(window, capacity - 1), learn, PAST_WEIGHT)
@@ -113,12 +114,10 @@ def take_healthy(
 @njit_in_place
 def _add(ring: HealthyRing, rows: FloatArray, blocks: FloatArray, at: int) -> None:
     """Take one interval; what its balance may leave goes into a place of the rings."""
-    current = add_healthy_blocks(ring.balance, blocks, ring.block_noise)
-    lengths = ring.past[LENGTH], current
+    length = add_healthy_blocks(ring.balance, blocks, ring.block_noise)
     close_healthy_interval(
-        ring.balance, lengths, rows, ring.mean_reading, ring.effects[at], ring.doubts[at]
+        ring.balance, length, rows, ring.mean_reading, ring.effects[at], ring.doubts[at]
     )
-    ring.past[LENGTH] = current
 
 
 @njit_in_place
@@ -177,7 +176,7 @@ class HealthySet:
         by_sensor = np.where(self._derived, difference, rate)
         self.ring = HealthyRing(
             self._balance, np.zeros((plan.capacity, n, columns)), np.zeros((plan.capacity, 2, n)),
-            np.zeros((m, columns)), np.zeros(3),
+            np.zeros((m, columns)), np.zeros(2),
             np.sqrt(map_rows(self._balance.to_joints**2, by_sensor**2)),
             noise / np.sqrt(plan.per_block * plan.blocks),
             np.where(self._derived, reading / plan.interval, rate / np.sqrt(plan.blocks)),
@@ -195,11 +194,9 @@ class HealthySet:
         add_balances(window, total)
         right[n:], right[:n] = _eliminated(total, null) @ right, 0.0
         # Intervals that are not complete are forgotten.
-        for part in (self._balance.momentum, self._balance.rising, self._balance.falling):
-            part[:] = 0.0
+        drop_hat(self._balance.hat)
         self._balance.slack[:], self._balance.variance[:] = 0.0, 0.0
         self._balance.last[:] = np.inf
-        self.ring.past[LENGTH] = 0.0
 
     def evaluate(self) -> Guarantee:
         """Bounds at the last balance."""

@@ -22,7 +22,6 @@ from lpv.core.serial_arm.diagnosis.balance import (
     COULOMB,
     COULOMB_PART,
     DRIFT,
-    EPOCH,
     OFFSET,
     RATE,
     VISCOUS,
@@ -193,7 +192,7 @@ def _scores(
     late = window.times[at[0]] - end  # samples wait for a test of jumps
     # Axes: place in the interval, onset's balance, joint.
     s, first = PLACES[:, None, None], window.times[at[back], None] - late - interval
-    begin, epoch = first + s * interval, estimator.balance.clock[EPOCH]
+    begin, epoch = first + s * interval, estimator.balance.epoch[0]
     shift = begin - epoch
     jump = -(1.0 - s) * older[0] - s * newer[0]
     total = score[0] - shift * score[1] + jump
