@@ -64,7 +64,7 @@ def shown(cell: Cell, k: int, seed: int) -> tuple[list[float], bool]:
 def offset_shows(arm: SerialArm, stream: Stream, joint: int, size: float) -> list[float]:
     """The same of an offset from the first sample on."""
     estimator = _watched(arm, stream).estimator
-    (_, _, window, level), last = estimator.parts, len(estimator)
+    (_, _, window, level, _), last = estimator.horizon, len(estimator)
     information = _information(window, len(level.mean), recent(window, last))
     least = np.diag(level.least)
     return [

@@ -126,7 +126,7 @@ def advance(
 @njit_in_place
 def _know_nothing_wrong(parts: Parts, one: Answering, stamp: int) -> None:
     """Write what holds from a sample on, where nothing is suspected and no reading noisy."""
-    state, level, known, flags = parts.state[0], parts.level, one.known, one.flags[0]
+    state, level, known, flags = parts.state[0], parts.horizon.level, one.known, one.flags[0]
     widest, smallest, sigmas = state.limits[0], state.limits[1], state.limits[2]
     for i in range(known.fault.shape[0]):
         # An offset that is not confirmed may be none.

@@ -9,13 +9,14 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from lpv.core.serial_arm.chain import FloatArray, IntArray
+from lpv.core.serial_arm.chain import FloatArray
 from lpv.core.serial_arm.diagnosis.balance import OFFSET, READINGS_AT_EDGES, Balance
 from lpv.core.serial_arm.diagnosis.bank import BankParts, ask_bank, take_rows
 from lpv.core.serial_arm.diagnosis.estimator import (
     INTERVAL,
     NOISE_SAMPLES,
     UNMEASURED,
+    Horizon,
     Posterior,
     estimate_all,
     has_moved,
@@ -94,11 +95,7 @@ class Parts(NamedTuple):
     state: np.ndarray  # memory of a record of `DECISION`
     sampler: Sampler
     balance: Balance
-    window: Window
-    null: Posterior
-    slow: Window
-    level: Posterior
-    since_linearised: IntArray
+    horizon: Horizon
     healthy: HealthyRing
     bank: BankParts
     prior: FloatArray  # as of `find_levels`, as those that follow
@@ -220,9 +217,8 @@ def find_levels(
 @njit_in_place
 def decide(parts: Parts) -> None:
     """Go on with a decision from its stage on, until Python has to do something or it is done."""
-    state, window, bank = parts.state[0], parts.window, parts.bank
-    horizon = window, parts.null, parts.slow, parts.level
-    interval = bank.interval
+    state, horizon, bank = parts.state[0], parts.horizon, parts.bank
+    window, null, level, interval = horizon.window, horizon.null, horizon.level, bank.interval
     plan = interval, round(interval / state.sample_time)
     if state.stage == _BEGIN:
         state.stage = _TAKE if state.uses_balances else _END
@@ -233,18 +229,17 @@ def decide(parts: Parts) -> None:
             take_healthy(
                 parts.healthy, window, parts.balance.hat.rows, parts.recent, half, state.learns
             )
-        take_balances(*horizon, parts.balance, state.now, state.learns)
+        take_balances(horizon, parts.balance, state.now, state.learns)
         if leave_out_missing(window, parts.sampler, 2 * plan[1] + DELAY):
-            weigh_all(*horizon, 1)
+            weigh_all(horizon, 1)
         take_rows(bank, parts.balance, window, parts.recent)
         state.balances += 1
         state.stage = _FOLLOW if state.follows else _ESTIMATE
     if state.stage == _ESTIMATE:
-        if add_noise(window, parts.null, parts.sampler, plan, parts.recent):
-            weigh_all(*horizon, 1)
-        estimate_all(*horizon, parts.since_linearised, interval, state.learns)
-        moved = has_moved(window, parts.level, parts.balance, parts.since_linearised)
-        state.stage = _LINEARISE if moved else _ENDS
+        if add_noise(window, null, parts.sampler, plan, parts.recent):
+            weigh_all(horizon, 1)
+        estimate_all(horizon, interval, state.learns)
+        state.stage = _LINEARISE if has_moved(horizon, parts.balance) else _ENDS
     if state.stage == _ENDS and not state.ends:
         state.stage = _GUARANTEE
     # Guaranteed thresholds change over the horizon.
@@ -260,13 +255,13 @@ def decide(parts: Parts) -> None:
     if state.stage == _ASK:
         last = parts.recent.shape[0] - 1
         state.asked = ask_bank(
-            bank, window, parts.null, parts.balance, parts.sampler, parts.recent[last],
+            bank, window, null, parts.balance, parts.sampler, parts.recent[last],
             state.threshold, state.rests)  # fmt: skip
         quiet = bank.state[0].statistic < state.threshold and not (state.suspects or state.pushed)
         state.stage = _LEVELS if quiet and not state.asked else _NAME
     if state.stage == _LEVELS:
         some = find_levels(
-            parts.level, parts.prior, parts.known, parts.certified, parts.balance.scale,
+            level, parts.prior, parts.known, parts.certified, parts.balance.scale,
             state.limits, parts.beyond)  # fmt: skip
         state.stage = _RAISE if some else _END
     if state.stage == _END and not state.active:

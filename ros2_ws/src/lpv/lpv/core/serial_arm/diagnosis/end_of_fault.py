@@ -100,7 +100,7 @@ class EndOfFault:
 
     def _gains(self, estimator: OffsetEstimator) -> FloatArray:
         """Logarithm of the Bayes factor of each onset; the size is known."""
-        window, null = estimator.parts[2:]  # as they are weighed for levels
+        _, _, window, null, _ = estimator.horizon  # as they are weighed for levels
         last, n = len(estimator), estimator.joints
         if last == 0 or abs(self.jump) > LINEAR * estimator.balance.scale[self.joint]:
             return np.zeros(len(self.ages))

@@ -131,6 +131,16 @@ class Posterior(NamedTuple):
     sizes: FloatArray  # (capacity,) scratch
 
 
+class Horizon(NamedTuple):
+    """The balances of the horizon and what is estimated from them."""
+
+    window: Window
+    null: Posterior
+    slow: Window  # the same balances, without columns of faults, weighed for levels
+    level: Posterior  # from these
+    since: IntArray  # (1,) balances since all were linearised
+
+
 @njit_in_place
 def set_residuals(window: Window, null: Posterior, last: int) -> None:
     """Write what the estimate leaves of the last balances, newest first."""
@@ -233,21 +243,14 @@ def solve(window: Window, null: Posterior) -> None:
 
 
 @njit_in_place
-def take_balances(
-    window: Window,
-    null: Posterior,
-    slow: Window,
-    level: Posterior,
-    balance: Balance,
-    time: float,
-    learn: bool,
-) -> None:
+def take_balances(horizon: Horizon, balance: Balance, time: float, learn: bool) -> None:
     """Let the balance that is complete join the horizon, without estimating.
 
     The constant part of its rows belongs to f = 0 afterwards.  The residual and the weight of the
     last balance are written.  What leaves the horizon is remembered if ``learn``.
     """
     n, past = balance.reference.shape[0], PAST_WEIGHT if learn else -PAST_WEIGHT
+    window, slow = horizon.window, horizon.slow
     if window.counters[NEXT] % window.times.shape[0] == 0:  # drifts stay small over days
         shift = time - balance.epoch[0]
         move_drifts(window, 1 + DRIFT * n, 1 + OFFSET * n, n, shift)
@@ -259,10 +262,10 @@ def take_balances(
         window.poses[at, i] = balance.poses[0, i]
         window.rest[at, i] = rests(balance, i)
         window.rested[i] = window.rested[i] + 1 if window.rest[at, i] == 1.0 else 0
-    weigh(window, null, _lengthen_rests(window, window.rested, 1))
+    weigh(window, horizon.null, _lengthen_rests(window, window.rested, 1))
     join(slow, time, slow.rows[0], past)
     copy_unknowns(window, slow, 1)
-    weigh(slow, level, _lengthen_rests(slow, window.rested, window.times.shape[0]))
+    weigh(slow, horizon.level, _lengthen_rests(slow, window.rested, window.times.shape[0]))
 
 
 @njit_in_place
@@ -290,18 +293,18 @@ def _lengthen_rests(window: Window, rested: IntArray, longest: int) -> int:
 
 
 @njit_in_place
-def weigh_all(window: Window, null: Posterior, slow: Window, level: Posterior, last: int) -> None:
+def weigh_all(horizon: Horizon, last: int) -> None:
     """As `weigh`, for the estimate of levels as well."""
-    weigh(window, null, last)
-    copy_unknowns(window, slow, last)
-    weigh(slow, level, last)
+    weigh(horizon.window, horizon.null, last)
+    copy_unknowns(horizon.window, horizon.slow, last)
+    weigh(horizon.slow, horizon.level, last)
 
 
 @njit_in_place
-def solve_all(window: Window, null: Posterior, slow: Window, level: Posterior) -> None:
+def solve_all(horizon: Horizon) -> None:
     """As `solve`, for the estimate of levels as well."""
-    solve(window, null)
-    solve(slow, level)
+    solve(horizon.window, horizon.null)
+    solve(horizon.slow, horizon.level)
 
 
 @njit_in_place
@@ -322,36 +325,26 @@ def copy_unknowns(source: Window, window: Window, last: int) -> None:
 
 
 @njit_in_place
-def estimate_all(
-    window: Window,
-    null: Posterior,
-    slow: Window,
-    level: Posterior,
-    since: IntArray,
-    interval: float,
-    learn: bool,
-) -> None:
-    """Estimate anew, after `take_balances`; parameters as those of `OffsetEstimator`."""
-    since[0] += 1
-    known = window.counters[NEXT] * interval > NOISE_KNOWN_AFTER
-    if (learn or not known) and window.counters[NEXT] % _FEW == 0:
-        _learn_all(window, null, slow, level, POSE_TIME / interval)
-    solve_all(window, null, slow, level)
+def estimate_all(horizon: Horizon, interval: float, learn: bool) -> None:
+    """Estimate anew, after `take_balances`; balances are an ``interval`` apart [s]."""
+    horizon.since[0] += 1
+    taken = horizon.window.counters[NEXT]
+    if (learn or not taken * interval > NOISE_KNOWN_AFTER) and taken % _FEW == 0:
+        _learn_all(horizon, POSE_TIME / interval)
+    solve_all(horizon)
 
 
 @njit_in_place
-def _learn_all(
-    window: Window, null: Posterior, slow: Window, level: Posterior, lasting: float
-) -> None:
+def _learn_all(horizon: Horizon, lasting: float) -> None:
     """Learn the noise; that of levels from all that the arm's unknowns leave.
 
     What the likeliest fault explains is no noise of the null hypothesis: a fault that grows slowly
     would raise the noise that it is compared with.  ``lasting`` is as of `_copy_noise`.
     """
-    count = window.counters[COUNT]
+    window, null, count = horizon.window, horizon.null, horizon.window.counters[COUNT]
     set_residuals(window, null, count)
     learn_noise(window, null)
-    _copy_noise(null, level, lasting)
+    _copy_noise(null, horizon.level, lasting)
     for back in range(count):
         for i in range(null.noise.shape[0]):
             null.residual[back, i] += window.explained[slot(window, back), i]
@@ -454,15 +447,16 @@ def _correlation(values: FloatArray) -> float:
 
 
 @njit_in_place
-def has_moved(window: Window, level: Posterior, balance: Balance, since: IntArray) -> bool:
+def has_moved(horizon: Horizon, balance: Balance) -> bool:
     """Whether an offset has surely left the point of linearisation."""
-    largest = 0.0
+    level, largest = horizon.level, 0.0
     for i in range(balance.reference.shape[0]):
         step = abs(level.mean[i] - balance.reference[i])
         if step > ROBUST * level.sigma[i]:
             largest = max(largest, step / balance.scale[i])
     # All balances are evaluated anew: not before a tenth of them are new ones.
-    return since[0] * _FEW >= window.counters[COUNT] and largest > SMALL
+    renewed = horizon.since[0] * _FEW >= horizon.window.counters[COUNT]
+    return renewed and largest > SMALL
 
 
 class OffsetEstimator:
@@ -474,8 +468,6 @@ class OffsetEstimator:
     ``call`` calls compiled functions that take parts of the estimator.
     """
 
-    parts: tuple[Window, Posterior, Window, Posterior]
-
     def __init__(self, arm: SerialArm, plan: HorizonPlan) -> None:
         self.plan, about = plan, _about(arm, plan)
         self.joints = n = len(arm.joints)
@@ -485,13 +477,16 @@ class OffsetEstimator:
         self.balance: Balance = new_balance(
             about.chain, about.directions, derived, about.drives, arm.sensors_to_joints(),
             arm.scales())  # fmt: skip
-        self.window: Window = new_window(n, OFFSET * n, len(self.prior), plan.capacity, about.loads)
-        systematic = about.systematic
-        self.posterior = _prior_posterior(*known, 0.0 * systematic, plan.capacity)
-        self.level = _prior_posterior(*known, systematic, plan.capacity)
-        self._slow: Window = new_window(n, 0, len(self.prior), plan.capacity, about.loads)
-        self.since_linearised = np.zeros(1, np.int64)  # balances
-        self.call, self.parts = Entries(), (self.window, self.posterior, self._slow, self.level)
+        size = len(self.prior), plan.capacity
+        self.horizon = Horizon(
+            new_window(n, OFFSET * n, *size, about.loads),
+            _prior_posterior(*known, 0.0 * about.systematic, plan.capacity),
+            new_window(n, 0, *size, about.loads),
+            _prior_posterior(*known, about.systematic, plan.capacity),
+            np.zeros(1, np.int64),
+        )
+        self.window, self.posterior, self._slow, self.level, self._since = self.horizon
+        self.call = Entries()
 
     def __len__(self) -> int:
         """Balances in the horizon."""
@@ -512,10 +507,10 @@ class OffsetEstimator:
 
     def weigh_again(self, last: int) -> None:
         """Sum up the last balances again, after a change of their variance."""
-        self.call(weigh_all, *self.parts, last)
+        self.call(weigh_all, self.horizon, last)
 
     def _solve(self) -> None:
-        self.call(solve_all, *self.parts)
+        self.call(solve_all, self.horizon)
 
     def misfit(self) -> float:
         """By how many of its standard deviations the arm differs from its file, at most.
@@ -571,7 +566,7 @@ class OffsetEstimator:
         self.balance.reference[:] += np.clip(self._step(), -largest, largest)
         self.replace_last(blocks)
         self._solve()
-        self.since_linearised[:] = 0
+        self._since[:] = 0
 
     def move_reference(self, joint: int, by: float) -> None:
         """Let an offset grow [rad], as the readings do by what is no longer taken out of them."""

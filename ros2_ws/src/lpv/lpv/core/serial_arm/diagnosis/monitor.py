@@ -229,9 +229,9 @@ class SerialMonitor:
         """Give decisions what they are made of."""
         one = self.estimator
         self._parts = Parts(
-            memory(self._memory), self.sampler, one.balance, *one.parts, one.since_linearised,
-            self._healthy.ring, self.bank.parts, one.prior, self._known, self._certified,
-            self._beyond, self._recent)  # fmt: skip
+            memory(self._memory), self.sampler, one.balance, one.horizon, self._healthy.ring,
+            self.bank.parts, one.prior, self._known, self._certified, self._beyond, self._recent,
+        )  # fmt: skip
 
     @property
     def statistic(self) -> float:
