@@ -25,14 +25,7 @@ from lpv.core.serial_arm.diagnosis.estimator import (
 )
 from lpv.core.serial_arm.diagnosis.healthy_set import HealthyRing, take_healthy
 from lpv.core.serial_arm.diagnosis.information import NEXT, Window, slot
-from lpv.core.serial_arm.diagnosis.sampler import (
-    BLOCKS,
-    DELAY,
-    JITTER,
-    PROBED,
-    Sampler,
-    readings_in_jump,
-)
+from lpv.core.serial_arm.diagnosis.sampler import BLOCKS, JITTER, PROBED, Sampler, readings_in_jump
 from lpv.core.support.jit import njit_in_place
 from lpv.core.support.records import record_type
 
@@ -79,6 +72,7 @@ DECISION = record_type(
     ('threshold', 'f8'),  # of the statistic
     ('limits', 'f8', (7,)),  # as of `find_levels`
     ('sample_time', 'f8'),  # [s]
+    ('held', 'i8'),  # samples of the newest balance, and those that wait
     # What was found:
     ('balances', 'i8'),  # used so far
     ('rests', '?'),  # a reading is conspicuous because it rests
@@ -230,7 +224,7 @@ def decide(parts: Parts) -> None:
                 parts.healthy, window, parts.balance.hat.rows, parts.recent, half, state.learns
             )
         take_balances(horizon, parts.balance, state.now, state.learns)
-        if leave_out_missing(window, parts.sampler, 2 * plan[1] + DELAY):
+        if leave_out_missing(window, parts.sampler, state.held):
             weigh_all(horizon, 1)
         take_rows(bank, parts.balance, window, parts.recent)
         state.balances += 1

@@ -219,7 +219,8 @@ class SerialMonitor:
         self.suspects: tuple[str, ...] = ()
         self._suspected = np.zeros(n)  # sizes of the faults among these [rad]
         self._stuck: list[Hypothesis] = []
-        self._memory = new_record(DECISION, sample_time=arm.sample_time)
+        held = 2 * self.plan.per_block * self.plan.blocks + DELAY
+        self._memory = new_record(DECISION, sample_time=arm.sample_time, held=held)
         self._state, self._beyond = plain(self._memory), np.zeros((2, n))
         self._recent = np.zeros((2 * self.plan.blocks, 3 * n + 4))
         self._join()
@@ -258,8 +259,7 @@ class SerialMonitor:
     @property
     def missing_efforts(self) -> BoolArray:
         """Joints whose efforts are missing in the newest balance, or later."""
-        held = 2 * self.plan.per_block * self.plan.blocks + DELAY
-        return np.asarray(self.sampler.measured < held)
+        return np.asarray(self.sampler.measured < self._state['held'])
 
     @property
     def uses_balances(self) -> bool:
