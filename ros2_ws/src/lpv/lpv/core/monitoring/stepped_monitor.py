@@ -20,7 +20,7 @@ from lpv.core.monitoring.sample_loop import (
 from lpv.core.serial_arm.chain import BoolArray, FloatArray, IntArray
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.serial_arm.diagnosis.alarms import Mode, SensorState
-from lpv.core.serial_arm.diagnosis.decision import Parts, reading_noise
+from lpv.core.serial_arm.diagnosis.decision import reading_noise
 from lpv.core.serial_arm.diagnosis.estimator import UNMEASURED
 from lpv.core.serial_arm.diagnosis.information import slot
 from lpv.core.serial_arm.diagnosis.monitor import LONGEST_STEP, SerialMonitor
@@ -61,7 +61,7 @@ class SteppedMonitor(SerialMonitor):
         self._uio = uio
         self._call = Entries()
         self._efforts = np.array([joint.torque_gain for joint in arm.joints])
-        super().__init__(arm, parameters or DiagnosisParameters())
+        super().__init__(arm, parameters)
         if uio is not None:
             uio.retune(self.settings.sigmas)
             if uio.certifies:
@@ -98,11 +98,6 @@ class SteppedMonitor(SerialMonitor):
     def balances(self) -> int:
         """Balances that were used so far."""
         return int(self._state['balances'])
-
-    @property
-    def parts(self) -> Parts:
-        """What samples are decided on with."""
-        return self._parts
 
     @property
     def rates_are_right(self) -> bool:
@@ -160,7 +155,7 @@ class SteppedMonitor(SerialMonitor):
         if answering is not self.answering:
             progress = plain(answering.progress[0])
         fixed = plan, answering, rows, first, stamps, times, samples
-        while self._call(advance, self._parts, *fixed) or progress['phase'] != SAMPLE:
+        while self._call(advance, self.parts, *fixed) or progress['phase'] != SAMPLE:
             now, row = float(self._state['now']), first + int(progress['taken']) - 1
             if progress['phase'] == REPORT:
                 yield first + int(progress['reported']), first + int(progress['answered']), None

@@ -39,9 +39,14 @@ def blocks():
     return rows[PER_INTERVAL : PER_INTERVAL * (count // PER_INTERVAL)]
 
 
-def rows_of(chain, blocks, directions=None, reference=(0.0, 0.0, 0.0), drives=None):
+def new_balance(chain, directions=None, drives=None):
     directions = np.zeros((0, 3, 10)) if directions is None else directions
-    balance = balances.new_balance(chain, directions, np.ones(3), drives)
+    drives = np.zeros((len(directions), 3, 6)) if drives is None else drives
+    return balances.new_balance(chain, directions, np.ones(3), drives, np.eye(3), np.ones(3))
+
+
+def rows_of(chain, blocks, directions=None, reference=(0.0, 0.0, 0.0), drives=None):
+    balance = new_balance(chain, directions, drives)
     balance.reference[:] = reference
     rows = np.empty((len(blocks) // PER_INTERVAL - 1, *balance.hat.rows.shape))
     balances.fill_balances(balance, blocks, PER_INTERVAL, rows)
@@ -113,7 +118,9 @@ def products(window, last):
 
 
 def window_of(rows, weights, capacity, past=0.5):
-    window = info.new_window(rows.shape[1], 1, rows.shape[2] - 2, capacity)
+    window = info.new_window(
+        rows.shape[1], 1, rows.shape[2] - 2, capacity, np.zeros((0, rows.shape[2] - 2))
+    )
     for k, row in enumerate(rows):
         info.join(window, float(k), row, past)
         info.add_products(window, 0, weights[k])
@@ -170,7 +177,7 @@ def test_factor_solves_and_whitens():
 
 
 def test_reversals_are_told(blocks):
-    balance = balances.new_balance(CHAIN, np.zeros((0, 3, 10)), np.ones(3))
+    balance = new_balance(CHAIN)
     own, rows = blocks[: 2 * PER_INTERVAL].copy(), np.empty((1, *balance.hat.rows.shape))
     for rates, expected in ((1.0, False), (np.linspace(-1.0, 1.0, len(own))[:, None], True)):
         own[:, 3:6] = rates

@@ -99,24 +99,18 @@ def new_balance(
     chain: Chain,
     directions: FloatArray,
     derived: FloatArray,
-    drives: FloatArray | None = None,
-    to_joints: FloatArray | None = None,
-    scale: FloatArray | None = None,
+    drives: FloatArray,
+    to_joints: FloatArray,
+    scale: FloatArray,
 ) -> Balance:
-    """Empty balances, linearised at no fault; arguments are as in `Balance`.
-
-    By default, parameters of drives have no errors (``drives``), each encoder reads its own joint
-    (``to_joints``), and all joints turn (``scale``).
-    """
+    """Empty balances, linearised at no fault; arguments are as in `Balance`."""
     n = joint_count(chain)
-    along = np.zeros((len(directions), n, 6)) if drives is None else drives
     return Balance(
         chain, np.ascontiguousarray(directions, dtype=float), np.zeros(n),
         np.ascontiguousarray(derived, dtype=float),
         new_hat(n, column_count(n, len(directions))), np.zeros(1), np.zeros((2, n)), _no_rates(n),
-        np.zeros((n, n)), workspace(chain), np.zeros((10, n)), along,
-        np.eye(n) if to_joints is None else np.ascontiguousarray(to_joints),
-        np.ones(n) if scale is None else scale)  # fmt: skip
+        np.zeros((n, n)), workspace(chain), np.zeros((10, n)), drives,
+        np.ascontiguousarray(to_joints), scale)  # fmt: skip
 
 
 def _no_rates(n: int) -> FloatArray:

@@ -57,15 +57,12 @@ class Window(NamedTuple):
     counters: IntArray  # (2,)
 
 
-def new_window(
-    joints: int, faults: int, unknowns: int, capacity: int, loads: FloatArray | None = None
-) -> Window:
+def new_window(joints: int, faults: int, unknowns: int, capacity: int, loads: FloatArray) -> Window:
     """Empty window of balances of n joints, with h columns of faults and m of unknowns.
 
-    ``loads`` are as in `Window`; none may change by default.
+    ``loads`` are as in `Window`.
     """
-    size = 1 + faults + unknowns
-    loads = np.zeros((0, unknowns)) if loads is None else np.ascontiguousarray(loads)
+    size, loads = 1 + faults + unknowns, np.ascontiguousarray(loads)
     return Window(
         np.zeros((capacity, joints, size)), np.zeros(capacity), np.ones(capacity),
         np.zeros((capacity, joints)), np.zeros((capacity, joints)),

@@ -131,6 +131,8 @@ class SerialMonitor:
     ----------
     alarms : list of SerialAlarm
         Events so far; the caller may empty it.
+    parts : Parts
+        What samples are decided on with.
     statistic : float
         Logarithm of the statistic of detection at the last balance.
     suspects : tuple of str
@@ -229,7 +231,7 @@ class SerialMonitor:
     def _join(self) -> None:
         """Give decisions what they are made of."""
         one = self.estimator
-        self._parts = Parts(
+        self.parts = Parts(
             memory(self._memory), self.sampler, one.balance, one.horizon, self._healthy.ring,
             self.bank.parts, one.prior, self._known, self._certified, self._beyond, self._recent,
         )  # fmt: skip

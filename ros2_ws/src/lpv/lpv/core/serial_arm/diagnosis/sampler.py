@@ -111,28 +111,25 @@ def new_sampler(
     smallest: FloatArray,
     capacity: int,
     probe: int,
-    unit: FloatArray | None = None,
+    unit: FloatArray,
 ) -> Sampler:
     """A sampler without samples, for ``capacity`` blocks, and a probe of so many samples.
 
     ``derived``, shape (n,), is 1 where a rate is derived from its reading.  ``scale`` is the usual
-    size of e to begin with, ``smallest`` the smallest jump, ``unit`` what counts as much as 1 rad
-    (by default that), shape (n,) [rad].
+    size of e to begin with, ``smallest`` the smallest jump, ``unit`` what counts as much as 1 rad,
+    shape (n,) [rad].
     """
     n = len(derived)
     counters = np.zeros(6, np.int64)
     counters[PENDING] = -1
     return Sampler(
         np.zeros(HISTORY), np.zeros((HISTORY, 3, n)), np.zeros((HISTORY, n)), scale.copy(),
-        scale.copy(), scale * scale, smallest.copy(),
-        np.ones(n) if unit is None else unit.copy(),
+        scale.copy(), scale * scale, smallest.copy(), unit.copy(),
         np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n),
         derived.copy(), np.zeros((3, n)), np.zeros((capacity, 3 * n + 4)), np.zeros(n, np.int64),
         np.zeros(n), np.zeros(n, np.int64),
         np.zeros(n), np.full(n, np.inf), np.zeros(n, np.int64), np.zeros(n, np.int64), np.zeros(n),
-        np.zeros(n),
-        np.full(n, np.inf),
-        np.zeros((4, n)),
+        np.zeros(n), np.full(n, np.inf), np.zeros((4, n)),
         np.zeros(n, np.int64), np.zeros((HISTORY, n), np.int64), np.zeros(n, np.int64),
         np.zeros((4, n)), np.zeros((8, n)), np.zeros((probe, 2 * n + 1)), counters,
         np.zeros(9))  # fmt: skip
