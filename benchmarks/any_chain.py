@@ -12,7 +12,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-from fault_injection import BY_NAME, Cell, Subject, draw, run, with_sensors
+from fault_injection import BY_NAME, Cell, Subject, draw, run, with_joints, with_sensors
 from fault_matrix import Row, summary
 from ur10e_twin import PAYLOAD, drive, healthy, recording, twin, ur10e
 
@@ -60,8 +60,7 @@ def sources(count: int) -> str:
 
 def currents(count: int) -> str:
     """F: identification of 60 s of currents."""
-    arm = ur10e()
-    blank = replace(arm, joints=tuple(replace(j, torque_gain=1.0) for j in arm.joints))
+    blank = with_joints(ur10e(), torque_gain=1.0)
     begin = time.process_time()
     result = identify(blank, [recording(1000)])
     gains = [joint.torque_gain for joint in result.arm.joints]
@@ -109,8 +108,7 @@ def setup(count: int) -> str:
     """M: mistakes of a set-up."""
     arm, one, order = ur10e(), recording(1000), [0, 2, 1, 3, 4, 5]
     swapped = (x[:, order] for x in (one.position, one.velocity, one.effort))
-    nm = replace(arm, effort_unit='N m',
-                 joints=tuple(replace(j, torque_gain=1.0) for j in arm.joints))  # fmt: skip
+    nm = replace(with_joints(arm, torque_gain=1.0), effort_unit='N m')
     cases = {
         'none': (arm, one),
         'currents as N m': (nm, one),

@@ -15,6 +15,7 @@ import time
 from dataclasses import dataclass, replace
 
 import numpy as np
+from fault_injection import minimum_jerk
 
 from lpv import Gains, SerialArm, load_arm, load_gains, load_scenario
 from lpv.core.control.tracking import TrackingController
@@ -101,12 +102,10 @@ class Loop:
 
     def move(self, pose: np.ndarray, duration: float) -> None:
         """Go to another pose, from rest to rest."""
-        s = np.arange(round(duration / self._period)) * self._period / duration
-        profile = (
-            s**3 * (10.0 - 15.0 * s + 6.0 * s**2) - 1.0,
-            30.0 * s**2 * (1.0 - s) ** 2 / duration,
-            60.0 * s * (1.0 - s) * (1.0 - 2.0 * s) / duration**2,
+        share, slope, bend = minimum_jerk(
+            np.arange(round(duration / self._period)) * self._period / duration
         )
+        profile = share - 1.0, slope / duration, bend / duration**2
         way, self.pose = pose - self.pose, pose
         self._run(np.moveaxis(np.multiply.outer(profile, way), 0, 1))
 

@@ -347,8 +347,7 @@ def report_recorded(console: Console, runs: int, rng: np.random.Generator) -> No
         monitor = Watched(run.arm)
         monitor.take(run.stamps, run.samples)
         plan, learned = monitor.plan, monitor.estimator.posterior
-        resting = monitor.estimator.window.rest[: len(monitor.estimator)]
-        size = learned.noise * (1.0 + (learned.rest - 1.0) * resting)
+        size = monitor.estimator.usual_sizes(np.arange(len(monitor.estimator)))
         power = np.mean(size**2, 0) * learned.inflation / (plan.interval * 2.0 / 3.0)
         torques = Torques(np.sqrt(power / run.arm.sample_time))
         joint, size = k % 2, rng.choice([-1.0, 1.0]) * rng.uniform(*OFFSET_RANGE)

@@ -1,10 +1,9 @@
 """Runs of the simulator, in closed loop on a random path, as a driver would deliver them."""
 
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from fault_injection import motion_range, sines
+from fault_injection import motion_range, sines, with_joints
 
 from lpv.core.serial_arm.chain import Chain, FloatArray, compile_chain, workspace
 from lpv.core.serial_arm.description import SerialArm
@@ -83,7 +82,8 @@ def simulated_run(
     scenario = Scenario(
         'test', duration, seed, (0.0, duration), (rests, rests), faults, noise=noise,
         disturbance=False)  # fmt: skip
-    simulator, model = ArmSimulator(_unlimited(arm), scenario), compile_chain(arm)
+    unlimited = with_joints(arm, limits={'torque': 1e6})  # its drives are as strong as any push
+    simulator, model = ArmSimulator(unlimited, scenario), compile_chain(arm)
     simulator.state.motion[1] = path[1, 0]
     parts = simulator.parts if plant is None else simulator.parts._replace(chain=plant)
     limit = np.array(arm.torque_limit)
@@ -95,9 +95,3 @@ def simulated_run(
     if simulator.state.own['failed'][0] or not np.isfinite(samples).all():
         raise ValueError('the simulated run has no numbers')
     return Run(np.round(1e9 * time).astype(np.int64), samples, position)
-
-
-def _unlimited(arm: SerialArm) -> SerialArm:
-    """The arm whose drives are as strong as what pushes it."""
-    joints = (replace(j, limits=replace(j.limits, torque=1e6)) for j in arm.joints)
-    return replace(arm, joints=tuple(joints))
