@@ -90,11 +90,6 @@ class Balance(NamedTuple):
     scale: FloatArray
 
 
-def column_count(joints: int, directions: int) -> int:
-    """Columns of a balance: the residual, the groups, the inertial directions."""
-    return 1 + len(GROUPS) * joints + directions
-
-
 def new_balance(
     chain: Chain,
     directions: FloatArray,
@@ -105,10 +100,11 @@ def new_balance(
 ) -> Balance:
     """Empty balances, linearised at no fault; arguments are as in `Balance`."""
     n = joint_count(chain)
+    columns = 1 + len(GROUPS) * n + len(directions)
     return Balance(
         chain, np.ascontiguousarray(directions, dtype=float), np.zeros(n),
         np.ascontiguousarray(derived, dtype=float),
-        new_hat(n, column_count(n, len(directions))), np.zeros(1), np.zeros((2, n)), _no_rates(n),
+        new_hat(n, columns), np.zeros(1), np.zeros((2, n)), _no_rates(n),
         np.zeros((n, n)), workspace(chain), np.zeros((10, n)), drives,
         np.ascontiguousarray(to_joints), scale)  # fmt: skip
 

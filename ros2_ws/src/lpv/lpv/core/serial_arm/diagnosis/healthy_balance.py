@@ -34,9 +34,10 @@ from lpv.core.serial_arm.sensor_map import map_vector
 from lpv.core.support.inequalities import SAME
 from lpv.core.support.jit import njit_in_place as njit
 
-RESIDUAL, SPEED, VISCOSITY, DRY, LOADED, ONE, TORQUE = range(7)
-"""Columns of the parts that concern one joint each."""
-_PARTS = TORQUE + 1
+RESIDUAL, SPEED, VISCOSITY, DRY, LOADED, ONE, TORQUE, SLACK, VARIANCE = range(9)
+"""Columns of the parts that concern one joint each; the last two, what blocks hide [N m s] and the
+variance of the noise in friction [N2 m2 s2], with the sign of a force."""
+_PARTS = VARIANCE + 1
 _HELD = 0.9
 """Share of the largest bend of a torque that counts an interval later: half after seven."""
 
@@ -46,9 +47,7 @@ class HealthyBalance(NamedTuple):
 
     chain: Chain  # the nominal arm
     sizes: ParameterSet  # what may differ
-    hat: Hat  # of 10 n + 7 columns: the regressor, then parts of one joint
-    slack: FloatArray  # (2, 2, n) both intervals, rising and falling: what blocks hide [N m s]
-    variance: FloatArray  # (2, 2, n) likewise: of the noise in friction [N2 m2 s2]
+    hat: Hat  # of 10 n + 9 columns: the regressor, then parts of one joint
     last: FloatArray  # (3, n) means q, v and net force of the block before
     # (2, n) last change of the mean torques from one interval to the next, and its own, as held
     bent: FloatArray
@@ -64,8 +63,7 @@ def new_healthy_balance(chain: Chain, sizes: ParameterSet, to_joints: FloatArray
     """Balances without samples."""
     n = len(chain.translation)
     return HealthyBalance(
-        chain, sizes, new_hat(n, 10 * n + _PARTS), np.zeros((2, 2, n)), np.zeros((2, 2, n)),
-        np.full((3, n), np.inf), np.zeros((2, n)),
+        chain, sizes, new_hat(n, 10 * n + _PARTS), np.full((3, n), np.inf), np.zeros((2, n)),
         np.zeros((n, 10 * n)), np.zeros((n, 10 * n)), workspace(chain), np.zeros((n, n)), to_joints,
         np.zeros((2, n)))  # fmt: skip
 
@@ -97,7 +95,7 @@ def _add_block(
 ) -> None:
     """Add the means of some samples to the current interval of so many blocks."""
     n = rate_noise.shape[0]
-    chain, q, v = balance.chain, balance.motion[0], balance.motion[1]
+    chain, q, v, hat = balance.chain, balance.motion[0], balance.motion[1], balance.hat
     map_vector(balance.to_joints, block[:n], q)
     map_vector(balance.to_joints, block[n : 2 * n], v)
     torque, length, place = block[2 * n : 3 * n], block[3 * n + 1], block[3 * n + 2]
@@ -124,14 +122,14 @@ def _add_block(
                 momentum, effect = balance.first[i, c], balance.second[i, c]
                 p += momentum * chain.inertial[a, k]
                 force += effect * chain.inertial[a, k]
-                put(balance.hat, c, i, (momentum, effect), weight)
-        put(balance.hat, span + RESIDUAL, i, (p, force), weight)
-        put(balance.hat, span + SPEED, i, (v[i], 0.0), weight)
-        put(balance.hat, span + VISCOSITY, i, (0.0, acts * v[i]), weight)
-        put(balance.hat, span + DRY, i, (0.0, acts * sign), weight)
-        put(balance.hat, span + LOADED, i, (0.0, acts * load * sign), weight)
-        put(balance.hat, span + ONE, i, (0.0, acts), weight)
-        put(balance.hat, span + TORQUE, i, (torque[i], 0.0), weight)
+                put(hat, c, i, (momentum, effect), weight)
+        put(hat, span + RESIDUAL, i, (p, force), weight)
+        put(hat, span + SPEED, i, (v[i], 0.0), weight)
+        put(hat, span + VISCOSITY, i, (0.0, acts * v[i]), weight)
+        put(hat, span + DRY, i, (0.0, acts * sign), weight)
+        put(hat, span + LOADED, i, (0.0, acts * load * sign), weight)
+        put(hat, span + ONE, i, (0.0, acts), weight)
+        put(hat, span + TORQUE, i, (torque[i], 0.0), weight)
         half, even, sizes = 0.0, 0.0, balance.sizes
         if began:
             half = 0.5 * abs(v[i] - balance.last[1, i])
@@ -149,10 +147,11 @@ def _add_block(
         missed = length * (uneven + _tolerance(sizes.tolerance[i], slowest, fastest))
         bend = row[VISCOUS] + dry * slope * (2.0 / np.pi) / (1.0 + (slope * v[i]) ** 2)
         noise = (length * bend * rate_noise[i]) ** 2
-        for side in range(2):
-            share = place if side == 0 else 1.0 - place
-            balance.slack[1, side, i] += share * missed + even
-            balance.variance[1, side, i] += share * share * noise
+        slack, rest, rising, falling = span + SLACK, 1.0 - place, hat.rising[1, i], hat.falling[i]
+        rising[slack] += place * missed + even
+        falling[slack] += rest * missed + even
+        rising[span + VARIANCE] += place * place * noise
+        falling[span + VARIANCE] += rest * rest * noise
         balance.last[2, i] = force
     for i in range(n):
         balance.last[0, i], balance.last[1, i] = q[i], v[i]
@@ -222,18 +221,11 @@ def close_healthy_interval(
             effects[i, at + 5 * n] = sizes.delay[0, i] * change
             balance.bent[1, i] = max(abs(change - balance.bent[0, i]), _HELD * balance.bent[1, i])
             balance.bent[0, i] = change
-            doubts[0, i] = balance.slack[0, 0, i] + balance.slack[1, 1, i]
+            doubts[0, i], doubts[1, i] = -row[i, span + SLACK], -row[i, span + VARIANCE]
             doubts[0, i] += sizes.delay[1, i] / length * balance.bent[1, i]
-            doubts[1, i] = balance.variance[0, 0, i] + balance.variance[1, 1, i]
             for j in range(n):
                 bias = sizes.rate_bias[j] * rows[i, 1 + RATE * n + j]
                 effects[i, 1 + count + 6 * n + j] = -bias
                 effect = abs(rows[i, 1 + _READING * n + j])
                 doubts[0, i] += sizes.rounding[j] * effect
                 doubts[1, i] += (reading[j] * effect) ** 2
-    for i in range(n):
-        for side in range(2):
-            balance.slack[0, side, i] = balance.slack[1, side, i]
-            balance.variance[0, side, i] = balance.variance[1, side, i]
-    balance.slack[1] = 0.0
-    balance.variance[1] = 0.0

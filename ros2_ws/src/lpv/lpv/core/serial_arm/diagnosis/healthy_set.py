@@ -181,8 +181,6 @@ class HealthySet:
             noise / np.sqrt(plan.per_block * plan.blocks),
             np.where(self._derived, reading / plan.interval, rate / np.sqrt(plan.blocks)),
             READINGS_AT_EDGES if self._derived.any() else 2.0)  # fmt: skip
-        self._effects, self._doubts = self.ring.effects, self.ring.doubts
-        self._mean_noise = self.ring.mean_noise
 
     def restart(self) -> None:
         """Begin anew after a gap; called before the estimator's own restart."""
@@ -195,7 +193,6 @@ class HealthySet:
         right[n:], right[:n] = _eliminated(total, null) @ right, 0.0
         # Intervals that are not complete are forgotten.
         drop_hat(self._balance.hat)
-        self._balance.slack[:], self._balance.variance[:] = 0.0, 0.0
         self._balance.last[:] = np.inf
 
     def evaluate(self) -> Guarantee:
@@ -209,9 +206,9 @@ class HealthySet:
         weighted = window.weights[places][:, :, None] * window.rows[places][:, :, -m:]
         map_ = -(weighted.reshape(-1, m) @ gain.T).T.reshape(n + 1, last, n)
         from_past = -gain[:, n:] @ _eliminated(window.past, null)
-        response = map_.reshape(n + 1, -1) @ self._effects[places].reshape(last * n, -1)
+        response = map_.reshape(n + 1, -1) @ self.ring.effects[places].reshape(last * n, -1)
         response += from_past @ self.ring.right
-        slack = np.einsum('fbi,bi->f', np.abs(map_), self._doubts[places, 0])
+        slack = np.einsum('fbi,bi->f', np.abs(map_), self.ring.doubts[places, 0])
         # For right sides A^T W e of the past: (d A^T W e)^2 <= (d A^T W A d)(e^T W e).
         size = np.einsum('fa,ab,fb->f', gain[:, n:], null.recalled[1 + n :, n:], gain[:, n:])
         size = np.maximum(size, 0.0)
@@ -245,12 +242,12 @@ class HealthySet:
 
     def _noise(self, map_: FloatArray, places: IntArray) -> FloatArray:
         """Variance of the estimates by noise of readings and rates in the horizon."""
-        total = np.einsum('fbi,bi->f', map_**2, self._doubts[places, 1])
+        total = np.einsum('fbi,bi->f', map_**2, self.ring.doubts[places, 1])
         moved = np.einsum('fbi,bij->fbj', map_, self._estimator.window.momenta[places])
         once = np.diff(moved, axis=1, prepend=0.0, append=0.0)
         twice = np.diff(once, axis=1, prepend=0.0, append=0.0)
-        total += ((once * ~self._derived * self._mean_noise) ** 2).sum((1, 2))
-        return np.asarray(total + ((twice * self._derived * self._mean_noise) ** 2).sum((1, 2)))
+        total += ((once * ~self._derived * self.ring.mean_noise) ** 2).sum((1, 2))
+        return np.asarray(total + ((twice * self._derived * self.ring.mean_noise) ** 2).sum((1, 2)))
 
 
 def _eliminated(past: FloatArray, null: Posterior) -> FloatArray:
