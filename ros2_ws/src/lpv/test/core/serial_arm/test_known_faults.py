@@ -169,7 +169,7 @@ def test_given_an_uncertain_scale_error_then_sigma_is_that_of_draws(size):
     one.mean, one.covariance = np.array([size, 0.1, 0.0]), np.diag([0.01, 0.01, 0.0]) ** 2
     reading, (scale, offset, _) = 1.2, rng.multivariate_normal(one.mean, one.covariance, 10000).T
     drawn = reading - (reading - offset) / (1.0 + scale)
-    fault, _, sigma = one.fault(reading, 0.0)
+    fault, sigma = one.fault(reading, 0.0)
     assert fault == pytest.approx(drawn.mean(), abs=0.01)
     assert sigma == pytest.approx(drawn.std(), rel=0.05)
 

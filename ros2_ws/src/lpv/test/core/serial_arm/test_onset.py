@@ -167,7 +167,7 @@ def test_given_a_filter_when_corrected_then_what_is_beyond_its_bound_or_rests_is
         assert wide.fault(0.0, 0.2)[0] == pytest.approx(0.2 * size)
         assert wide.share(0.0, 0.2, 4.0) == 0.0
     late = drift(0.3, 0.0, 0.1)  # its bound holds the uncertainty of its onset, too
-    assert late.fault(0.0, 0.2)[2] == pytest.approx(0.03) and late.share(0.0, 0.2, 4.0) == 0.0
+    assert late.fault(0.0, 0.2)[1] == pytest.approx(0.03) and late.share(0.0, 0.2, 4.0) == 0.0
     shares = [drift(0.3, sigma).share(0.0, 0.2, 4.0) for sigma in (0.075, 0.07, 0.03, 1e-3, 0.0)]
     assert shares[0] == pytest.approx(0.0, abs=1e-9) and shares[-1] == 1.0
     assert np.all(np.diff(shares) > 0.0) and shares[-2] > 0.999

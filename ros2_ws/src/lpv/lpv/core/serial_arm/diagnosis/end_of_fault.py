@@ -155,7 +155,7 @@ def end_of_fault(
         gain, went, sigma = 0.0, 0.0, LINEAR * scale
         if course is not None:
             one = begin_frozen(joint, course, readings.acceleration(joint), scale)
-            fault, _, sigma = one.fault(0.0, readings.last())
+            fault, sigma = one.fault(0.0, readings.last())
             gain, went, sigma = course.gain, -fault, max(sigma, float(sampler.usual[joint]))
         gain += float(_normal((jump - went) / scale, sigma / scale) - _slip(jump / scale)) + again
         age = blocks[-1, 3 * estimator.joints] - frozen.time

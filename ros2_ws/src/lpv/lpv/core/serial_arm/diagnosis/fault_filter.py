@@ -70,28 +70,23 @@ class FaultFilter:
         """Of the first state: scale errors are ratios."""
         return 1.0 if self.is_scale else self.scale
 
-    def fault(self, reading: float, now: float) -> tuple[float, float, float]:
-        """Fault, its rate and the standard deviation of the fault [rad], [rad/s], [rad]."""
+    def fault(self, reading: float, now: float) -> tuple[float, float]:
+        """Fault and its standard deviation [rad]."""
         if self.is_scale:
             position = (reading - self.mean[1]) / (1.0 + self.mean[0])
             direction = np.array([position, 1.0, 0.0]) / (1.0 + self.mean[0])
             fault = reading - position
             variance = float(direction @ self.covariance @ direction)
-            return fault, 0.0, float(np.sqrt(max(variance, 0.0)))
-        since, (fault, rate, acceleration) = now - self.updated, self.mean.tolist()
-        _, bend, change = self._growth(since)
-        half = 0.5 * since**2
-        ahead = np.array([1.0, since, half])
-        variance = float(ahead @ self.covariance @ ahead) + bend * half**2 + change * since**2 / 3.0
-        fault += rate * since + acceleration * half
-        return fault, rate + acceleration * since, math.sqrt(max(variance, 0.0))
+            return fault, math.sqrt(max(variance, 0.0))
+        mean, covariance = self._after(now - self.updated)
+        return float(mean[0]), math.sqrt(max(covariance[0, 0], 0.0))
 
     def share(self, reading: float, now: float, sigmas: float) -> float:
         """Share of the fault that is beyond doubt: 1 - (bound / fault)^2, none within its bound.
 
         The joint of a frozen reading is not where that says, however uncertain the fault is.
         """
-        fault, _, sigma = self.fault(reading, now)
+        fault, sigma = self.fault(reading, now)
         bound = 0.0 if self.kind == 'stuck' else sigmas * sigma
         return 1.0 - min(1.0, (bound / fault) ** 2) if fault else float(bound == 0.0)
 
@@ -306,7 +301,7 @@ def _follow(
     """
     sampler, estimator, _ = readings
     window, null, interval = estimator.window, estimator.posterior, estimator.plan.interval
-    sigma = one.fault(float(sampler.raw[one.joint]), float(sampler.time[-1]))[2]
+    sigma = one.fault(float(sampler.raw[one.joint]), float(sampler.time[-1]))[1]
     if sigma > OFFSET_PRIOR * one.scale:  # nothing is known of it
         _lose(one, sampler)
         return

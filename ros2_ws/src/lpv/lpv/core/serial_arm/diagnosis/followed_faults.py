@@ -75,7 +75,7 @@ class FollowedFaults:
         sigma, readings = np.zeros(len(self._sensors)), self._readings
         now = readings.last()
         for i, one in self.filters.items():
-            sigma[i] = one.fault(float(readings.sampler.raw[i]), now)[2]
+            sigma[i] = one.fault(float(readings.sampler.raw[i]), now)[1]
         for noisy in np.flatnonzero(readings.sampler.noisy).tolist():
             sigma[noisy] = math.hypot(sigma[noisy], readings.noise(noisy))
         return sigma

@@ -884,7 +884,7 @@ class SerialMonitor:
         What an absolute encoder reads is right again, an incremental one has not counted the way.
         """
         one, reading = self.followed.filters[i], float(self.sampler.raw[i])
-        fault, _, sigma = one.fault(reading, self.readings.last())
+        fault, sigma = one.fault(reading, self.readings.last())
         self._release(i, DELAY)
         self.estimator.doubt_readings(i, math.hypot(fault, sigma))
 
