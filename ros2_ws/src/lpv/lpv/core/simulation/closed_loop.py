@@ -419,22 +419,18 @@ def run_closed_loop(
     stepped, answering = monitor.parts
     stamps = np.rint(arm.sample_time * NANOSECONDS * np.arange(count)).astype(np.int64)
     times, samples = stamps / NANOSECONDS, np.empty((count, 3, len(arm.joints)))
-    parts, plan = stepped.parts, (stepped.plan.per_block, stepped.plan.blocks)
+    plan = stepped.plan.per_block, stepped.plan.blocks
     answering = answering._replace(progress=memory(new_record(PROGRESS, next_report=_NO_REPORT)))
+    given, series = (stepped.parts, plan, answering, answers), (stamps, times, samples)
     loop = _Loop(
         memory(now),
         simulator.parts,
         simulator.chances,
         np.random.default_rng([scenario.seed, 2]),  # losses must not change noise and faults
         transport.blocked(count, arm.sample_time),
-        pointer(advance, parts, plan, answering, answers, 0, stamps, times, samples),
-        parts,
-        plan,
-        answering,
-        answers,
-        stamps,
-        times,
-        samples,
+        pointer(advance, *given, 0, *series),
+        *given,
+        *series,
         feedback,
         controller.parts,
         references,
