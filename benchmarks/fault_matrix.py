@@ -32,7 +32,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, replace
 from functools import partial
-from itertools import product
+from itertools import product, starmap
 from multiprocessing import Pool
 from operator import attrgetter
 from pathlib import Path
@@ -207,14 +207,11 @@ def measure(
     chosen: Sequence[Cell], runs: Sequence[int], seed: int, say: Any, jobs: int = 1
 ) -> Iterable[Row]:
     """Rows of cells, one by one."""
-    pool = Pool(jobs, initializer=_share_cells, initargs=(chosen, seed)) if jobs > 1 else None
+    _SHARED.update(cells=chosen, seed=seed)  # processes inherit them: streams are functions
+    each = Pool(jobs).starmap if jobs > 1 else starmap
     for number, cell in enumerate(chosen):
         begin = time.process_time()
-        if pool is None:
-            verdicts = [run(cell, k, seed) for k in runs]
-        else:
-            verdicts = pool.starmap(_run_cell, [(number, k) for k in runs])
-        row = summary(cell, verdicts)
+        row = summary(cell, list(each(_run_cell, [(number, k) for k in runs])))
         say(' '.join(f'{name}={_text(name, row[name])}' for name in dict.fromkeys((*KEY, *HEADINGS))
                      if name in row and row[name] is not None)
             + f' {row.get("named", "")} cpu {time.process_time() - begin:.1f} s')  # fmt: skip
@@ -281,10 +278,6 @@ def prior_sensitivity(names: Sequence[str], measured: Callable[[], Iterable[Row]
 
 
 _SHARED: dict[str, Any] = {}
-
-
-def _share_cells(chosen: Sequence[Cell], seed: int) -> None:
-    _SHARED.update(cells=chosen, seed=seed)
 
 
 def _run_cell(number: int, k: int) -> Verdict:
