@@ -126,10 +126,9 @@ class TrackerNode(ManagedNode):
         self._warn_of_speed()
         self._estimate = np.zeros((len(ROWS), joints))
         self._bytes = self._estimate.data.cast('B')
-        self._velocity = self._estimate[ROWS.index('velocity')]
-        self._measured = self._estimate[ROWS.index('measured_position')]
-        self._corrected = self._estimate[ROWS.index('compensated_position')]
-        self._measured_velocity = self._estimate[ROWS.index('measured_velocity')]
+        row = dict(zip(ROWS, self._estimate))
+        self._corrected, self._measured = row['compensated_position'], row['measured_position']
+        self._velocity, self._measured_velocity = row['velocity'], row['measured_velocity']
         self._forgotten: np.ndarray | None = None  # correction before a silence [rad]
         self._correction, self._compensation = CorrectionLimit(self._arm), ''
         self._choose_feedback()
