@@ -69,8 +69,8 @@ def _chunk(k, templates, truth, bias, arm, generator):
     position, velocity, effort, torque = (column[k % len(bias)] for column in truth)
     shape = position.shape
     faulty = (k // len(bias) % _FAULTY == _FAULTY - 1)[:, None] * bias[k % len(bias)]
-    sensors = [joint.sensors for joint in arm.joints]
-    noise = [one.position_noise for one in sensors], [one.velocity_noise for one in sensors]
+    sensors = arm.sensors()
+    noise = sensors.position_noise, sensors.velocity_noise
     to_sensors, to_joints = arm.joints_to_sensors(), arm.sensors_to_joints()
     reading, rate = (
         map_rows(to_sensors, truth) + sigma * generator.standard_normal(shape)

@@ -141,7 +141,7 @@ def knowledge(arm: SerialArm, torques: Torques, first: FloatArray) -> Knowledge:
     memory = np.exp(-arm.sample_time / torques.correlation) if torques.correlation > 0.0 else 0.0
     step, count = integration_step(chain, arm.sample_time)
     model = Model(chain, estimator.balance.directions, step, count, float(memory))
-    noise = np.array([joint.sensors.position_noise for joint in arm.joints]) ** 2
+    noise = arm.sensors().position_noise ** 2
     rate = 2.0 * noise / arm.sample_time**2
     covariance = np.diag(np.concatenate([noise, rate, torques.size**2, prior**2]))
     for i in range(n):  # q = y - f

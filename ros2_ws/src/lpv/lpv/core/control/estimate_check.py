@@ -68,8 +68,8 @@ class Correction(NamedTuple):
 
 def position_noise(arm: SerialArm) -> np.ndarray:
     """Largest change of each joint's measured position at rest, by noise and quantization [rad]."""
-    sensors = [joint.sensors for joint in arm.joints]
-    noise = [_SIGMAS * s.position_noise + 2.0 * s.quantization for s in sensors]
+    sensors = arm.sensors()
+    noise = _SIGMAS * sensors.position_noise + 2.0 * sensors.quantization
     # A joint's position is a combination of readings.
     return np.abs(arm.sensors_to_joints()) @ noise
 
@@ -112,9 +112,8 @@ class CorrectionLimit:
 
     def __init__(self, arm: SerialArm, limited: bool = True) -> None:
         limit = np.array(arm.velocity_limit)
-        sensors = [joint.sensors for joint in arm.joints]
         position = position_noise(arm)
-        rate = np.abs(arm.sensors_to_joints()) @ [_SIGMAS * s.velocity_noise for s in sensors]
+        rate = np.abs(arm.sensors_to_joints()) @ (_SIGMAS * arm.sensors().velocity_noise)
         rate, scale = np.maximum(rate, position / arm.sample_time), arm.scales()
         rate = np.maximum(rate, REST_SHARE * limit)
         change = np.array([CHANGE_SHARE * limit, _RATE_FADING * limit])

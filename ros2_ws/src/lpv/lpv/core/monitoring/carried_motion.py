@@ -47,8 +47,7 @@ class CarriedMotion(NamedTuple):
 
 def new_motion(arm: SerialArm) -> CarriedMotion:
     """Nothing is carried on yet."""
-    n, chain = len(arm.joints), compile_chain(arm)
-    noise = np.array([joint.sensors.velocity_noise for joint in arm.joints])
+    n, chain, noise = len(arm.joints), compile_chain(arm), arm.sensors().velocity_noise
     acceleration, missed = np.zeros((2, n))
     return CarriedMotion(
         acceleration, missed, np.zeros((n, 3, 3)), noise**2, np.array(arm.velocity_limit), chain,

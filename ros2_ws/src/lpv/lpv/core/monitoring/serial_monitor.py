@@ -139,7 +139,7 @@ class SerialSensorMonitor:
         self._one = Answers(self.answer_type, 1)  # of `take`
         self._order = JointOrder(arm.joint_names)
         rates = [joint.sensors.rates for joint in arm.joints]
-        self._independent = np.array([rate == 'independent' for rate in rates])
+        self._independent = arm.sensors().independent
         self._to_sensors, self._to_joints = mixing(arm.joints_to_sensors()), arm.sensors_to_joints()
         self._without_rates = np.array([rate == 'none' for rate in rates])
         self._torque_gain = np.array([joint.torque_gain for joint in arm.joints])

@@ -6,6 +6,7 @@ Units are those of revolute joints: for a prismatic one, read m for rad, N for N
 import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -181,6 +182,15 @@ class JointSensors(PositionSensor):
     # standard deviation per sample [rad/s]
     velocity_noise: float = entry('number', default=1e-2, above=0.0, high=1e3)
     second_encoder: PositionSensor | None = part(PositionSensor, default=None)
+
+
+class SensorArrays(NamedTuple):
+    """`JointSensors` of all n joints, arrays of shape (n,)."""
+
+    position_noise: np.ndarray  # [rad]
+    quantization: np.ndarray  # [rad]
+    velocity_noise: np.ndarray  # [rad/s]
+    independent: np.ndarray  # whether the rate has a sensor of its own
 
 
 @dataclass(frozen=True)
@@ -383,6 +393,16 @@ class SerialArm:
     def torque_limit(self) -> tuple[float, ...]:
         """Largest joint torques, one for each joint [N m]."""
         return tuple(joint.limits.torque for joint in self.joints)
+
+    def sensors(self) -> SensorArrays:
+        """What is stated of the sensors, joint by joint."""
+        every = [joint.sensors for joint in self.joints]
+        return SensorArrays(
+            np.array([one.position_noise for one in every], float),
+            np.array([one.quantization for one in every], float),
+            np.array([one.velocity_noise for one in every], float),
+            np.array([one.rates == 'independent' for one in every]),
+        )
 
     def scales(self) -> np.ndarray:
         """What counts as much as 1 rad in thresholds, shape (n,); see `SerialJoint.scale`."""

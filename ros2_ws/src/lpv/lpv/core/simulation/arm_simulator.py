@@ -330,7 +330,7 @@ def plant_constants(
     needed = margin * integration_step(chain, arm.sample_time)[1]
     count, noise = max(substeps, needed), scenario.noise_factor if scenario.noise else 0.0
     direction, _, deviation = disturbance_of(arm, scenario)
-    sensors = [joint.sensors for joint in arm.joints]
+    sensors = arm.sensors()
     return PlantConstants(
         sample_time=float(arm.sample_time),
         step=float(arm.sample_time / count),
@@ -338,10 +338,10 @@ def plant_constants(
         push_deviation=float(deviation),
         torque_limit=np.array(arm.torque_limit, float),
         effort_gain=np.array([joint.torque_gain for joint in arm.joints], float),
-        position_noise=np.array([noise * one.position_noise for one in sensors], float),
-        velocity_noise=np.array([noise * one.velocity_noise for one in sensors], float),
-        quantization=np.array([one.quantization for one in sensors], float),
-        derived=np.array([one.rates != 'independent' for one in sensors]),
+        position_noise=noise * sensors.position_noise,
+        velocity_noise=noise * sensors.velocity_noise,
+        quantization=sensors.quantization,
+        derived=~sensors.independent,
         sensor=arm.joints_to_sensors(),
         to_joint=arm.sensors_to_joints(),
         direction=np.array(direction, float),

@@ -29,15 +29,11 @@ def jump_bound(arm: SerialArm) -> FloatArray:
     ndarray, shape (n,)
         [rad]; infinite where the file states no inertia of the rotors.
     """
-    sensors, period = [joint.sensors for joint in arm.joints], arm.sample_time
-    position = np.array([one.position_noise for one in sensors])
-    rate = np.array([one.velocity_noise for one in sensors])
-    step = np.array([one.quantization for one in sensors])
-    derived = np.array([one.rates != 'independent' for one in sensors])
+    (position, step, rate, independent), period = arm.sensors(), arm.sample_time
     deviation = np.where(
-        derived, np.sqrt(5.0) * position, np.hypot(np.sqrt(2.0) * position, period * rate)
+        independent, np.hypot(np.sqrt(2.0) * position, period * rate), np.sqrt(5.0) * position
     )
-    rounding = np.where(derived, 2.0, 1.0) * step
+    rounding = np.where(independent, 1.0, 2.0) * step
     return _acceleration(arm) * period**2 + SIGMAS * deviation + rounding
 
 

@@ -472,7 +472,7 @@ class OffsetEstimator:
         self.plan, about = plan, _about(arm, plan)
         self.joints = n = len(arm.joints)
         self.typical, self.prior = about.typical, about.prior
-        derived = np.array([float(joint.sensors.rates != 'independent') for joint in arm.joints])
+        derived = np.where(arm.sensors().independent, 0.0, 1.0)
         known = about.prior, about.noise, about.rest, about.dry
         self.balance: Balance = new_balance(
             about.chain, about.directions, derived, about.drives, arm.sensors_to_joints(),

@@ -167,11 +167,10 @@ class HealthySet:
         if self._at_tip >= 0:
             self._load[4 * n :] = payload_share(estimator)
         m, columns = len(estimator.prior), 1 + generator_count(sizes)
-        sensors = [joint.sensors for joint in arm.joints]
+        sensors = arm.sensors()
         self._derived = estimator.balance.derived > 0.0
-        noise = np.array([one.position_noise for one in sensors])
+        noise, rate = sensors.position_noise, sensors.velocity_noise / np.sqrt(plan.per_block)
         reading = np.hypot(noise, sizes.rounding)  # at the edge of two steps
-        rate = np.array([one.velocity_noise for one in sensors]) / np.sqrt(plan.per_block)
         difference = np.sqrt(2.0) * reading / (plan.per_block * arm.sample_time)
         by_sensor = np.where(self._derived, difference, rate)
         self.ring = HealthyRing(

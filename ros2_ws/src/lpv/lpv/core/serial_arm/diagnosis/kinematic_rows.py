@@ -208,15 +208,10 @@ class KinematicRows:
     """D = y(t) - y(t - T) - int v dt of every interval, for sensors with rates of their own."""
 
     def __init__(self, arm: SerialArm, plan: HorizonPlan) -> None:
-        sensors = [joint.sensors for joint in arm.joints]
-        self._interval, n = plan.interval, len(sensors)
-        reading = np.array([
-            one.position_noise**2 + one.quantization**2 / 12.0 for one in sensors
-        ])  # fmt: skip
-        rate = np.array([one.velocity_noise for one in sensors])
+        noise, step, rate, independent = arm.sensors()
+        self._interval, n, reading = plan.interval, len(noise), noise**2 + step**2 / 12.0
         least, most = NEGLIGIBLE * arm.scales(), round(DRIFT_STARTS[-1] / plan.interval) + 1
         latest = (LATE * arm.sample_time) ** 2 / plan.per_block
-        independent = np.array([one.rates == 'independent' for one in sensors])
         self.parts = Kinematics(
             np.zeros((most, n)), np.zeros((most, n)), np.zeros((most + 1, n)),
             np.zeros(1, np.int64), np.zeros((2 + DELAY // (plan.per_block * plan.blocks), n)),

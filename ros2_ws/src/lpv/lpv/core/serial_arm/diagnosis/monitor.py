@@ -193,10 +193,8 @@ class SerialMonitor:
         self._jump_bound = jump_bound(arm)
         self.plan = HorizonPlan.of(arm.sample_time)
         self.estimator = OffsetEstimator(arm, self.plan)
-        noise = np.array([
-            np.hypot(joint.sensors.position_noise, joint.sensors.quantization)
-            for joint in arm.joints
-        ])  # fmt: skip
+        sensors = arm.sensors()
+        noise = np.hypot(sensors.position_noise, sensors.quantization)
         capacity = self.plan.blocks * (self.plan.capacity + 1)
         self._healthy = HealthySet(arm, self.estimator)
         self.healthy = self._healthy if is_stated(arm) else None

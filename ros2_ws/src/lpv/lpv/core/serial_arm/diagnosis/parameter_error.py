@@ -95,13 +95,9 @@ def momentum_noise(arm: SerialArm, chain: Chain, interval: float) -> FloatArray:
     squares over poses [N m s]; momenta are averaged over ``interval`` [s].
     """
     model, poses = SerialModel(chain), np.pi * arm.scales() * _spread(len(arm.joints))
-    samples = interval / arm.sample_time
-    rate = np.array([
-        np.sqrt(2.0 / samples) * one.velocity_noise if one.rates == 'independent'
-        else np.sqrt(READINGS_AT_EDGES * (one.position_noise**2 + one.quantization**2 / 12.0))
-        / interval
-        for one in (joint.sensors for joint in arm.joints)
-    ])  # fmt: skip
+    (noise, step, own, independent), samples = arm.sensors(), interval / arm.sample_time
+    difference = np.sqrt(READINGS_AT_EDGES * (noise**2 + step**2 / 12.0)) / interval
+    rate = np.where(independent, np.sqrt(2.0 / samples) * own, difference)
     to_joints = arm.sensors_to_joints()
     parts = np.mean([(model.mass_matrix(q) @ to_joints) ** 2 for q in poses], axis=0)
     return np.sqrt(parts @ rate**2)

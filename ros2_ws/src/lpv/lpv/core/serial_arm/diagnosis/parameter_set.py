@@ -64,10 +64,7 @@ def parameter_set(arm: SerialArm, chain: Chain) -> ParameterSet:
     body = np.abs(inertial).max(2).argmax(1)
     inertial = inertial[np.arange(len(body)), body]
     counts = np.abs(inertial).max(1) > 0.0
-    bias = [
-        RATE_BIAS * joint.sensors.velocity_noise * (joint.sensors.rates == 'independent')
-        for joint in arm.joints
-    ]
+    sensors = arm.sensors()
     return ParameterSet(
         body[counts],
         inertial[counts],
@@ -76,8 +73,8 @@ def parameter_set(arm: SerialArm, chain: Chain) -> ParameterSet:
         share * friction[:, COULOMB],
         share * friction[:, LOAD],
         share * np.abs(friction[:, OFFSET]),
-        np.array(bias),
-        np.array([0.5 * joint.sensors.quantization for joint in arm.joints]),
+        RATE_BIAS * sensors.velocity_noise * sensors.independent,
+        0.5 * sensors.quantization,
         _delay(arm),
         _tolerance(arm),
     )

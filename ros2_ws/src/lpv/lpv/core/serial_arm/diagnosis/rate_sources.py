@@ -18,8 +18,7 @@ class RateSources:
     """
 
     def __init__(self, arm: SerialArm) -> None:
-        rates = [joint.sensors.rates for joint in arm.joints]
-        self._unproved = [i for i, source in enumerate(rates) if source == 'independent']
+        self._unproved = np.flatnonzero(arm.sensors().independent).tolist()
         self.probe = SAMPLES if self._unproved else 0
         self._probed = 0  # samples
 
