@@ -22,10 +22,7 @@ import numpy as np
 from lpv.core.support.limits import SMALL
 from lpv.core.support.timestamps import NANOSECONDS
 
-RATE_SOURCES = ('independent', 'derived', 'none', 'undecided')
-"""What rates may be; the first three are what an arm file may state."""
-_UNDECIDED = RATE_SOURCES[-1]
-
+_UNDECIDED = 'undecided'
 _LEAD, _LAGS, _PAST = 2, 8, 2
 """Differences from so many samples ahead of the rate, so many in all, and so many rates before it
 may have made it: filters of second order, and delays."""
@@ -55,7 +52,7 @@ _GAIN = 70.0
 class RateSource:
     """What the rates of one sensor are."""
 
-    source: str  # one of `RATE_SOURCES`
+    source: str  # one of `description.RATE_SOURCES`, or 'undecided'
     # share of the rate's high-frequency variance that differences of the positions explain [1]; NaN
     # where that cannot be told
     explained: float
