@@ -33,10 +33,6 @@ def _pair(low: float, high: float, **details: Any) -> Any:
     return entry('vector', 2, low=low, high=high, **details)
 
 
-def _number(low: float, high: float, **details: Any) -> Any:
-    return entry('number', low=low, high=high, **details)
-
-
 @dataclass(frozen=True)
 class Link:
     """One link."""
@@ -44,7 +40,7 @@ class Link:
     mass: float = positive(1e5)  # m_i [kg]
     length: float = positive(100.0)  # L_i, joint to joint (or to the tip) [m]
     center_of_mass: float = positive(100.0)  # L_ci, joint to centre of mass [m]
-    inertia: float = _number(0.0, 1e7)  # I_i, about the joint [kg m2]
+    inertia: float = entry('number', low=0.0, high=1e7)  # I_i, about the joint [kg m2]
 
 
 class ArmNumbers(NamedTuple):
@@ -98,7 +94,7 @@ class ArmParameters(LpvRegion):
     torque_limit: tuple = entry('vector', 2, default=(1e9, 1e9), above=0.0, high=1e9)
     joint_names: tuple = entry('names', 2, at='joints.names')  # in ``sensor_msgs/JointState``
     # absolute angle of link 1 at joint position q1 = 0 [rad]
-    zero_angle: float = _number(-math.pi, math.pi, at='joints.zero_angle')
+    zero_angle: float = entry('number', low=-math.pi, high=math.pi, at='joints.zero_angle')
     # largest plausible joint rates [rad/s]; a sample with a larger one is not used
     velocity_limit: tuple = entry(
         'vector', 2, default=(100.0, 100.0), above=0.0, high=1e4, at='joints.velocity_limit'
@@ -115,14 +111,14 @@ class ArmParameters(LpvRegion):
     # ('derived'), or are missing ('none'); see `lpv.core.serial_arm.rate_independence`
     rates: str = entry('text', default='independent', choices=RATE_SOURCES, at='sensors.rates')
     # relative error of masses and inertias that thresholds must tolerate
-    model_error: float = _number(0.0, 0.5, default=0.0)
+    model_error: float = entry('number', low=0.0, high=0.5, default=0.0)
     friction_error: float = UNSTATED_FRICTION  # relative error of Coulomb friction in bounds
     # largest unknown point mass at the tip that thresholds must tolerate [kg]
-    payload: float = _number(0.0, 1e4, default=0.0)
+    payload: float = entry('number', low=0.0, high=1e4, default=0.0)
     # generalised torques that the model may miss for moments (transmission, ripple) [N m]; only the
     # test of consistency needs them, what lasts belongs to the entries above
     torque_tolerance: tuple = _pair(0.0, 1e9, default=(0.0, 0.0))
-    sample_time: float = _number(1e-5, 0.1, default=0.002)  # Ts [s]
+    sample_time: float = entry('number', low=1e-5, high=0.1, default=0.002)  # Ts [s]
 
     def numbers(self, number: NumberType = float) -> ArmNumbers:
         """Constants of eqs. (2), (3) as floats, or as exact ``fractions.Fraction``.
