@@ -110,37 +110,17 @@ def invariant_basis(twists: int) -> FloatArray:
     return np.array(found)
 
 
-def steps(twists: int, rates: Sequence[Any] | None = None) -> list[list[np.ndarray]]:
-    """For each joint the matrices that lead from (V, y) or (V, D, y) to what the joint moves.
+STEP = np.column_stack([np.eye(6, dtype=int), AXIS])
+"""Leads from (V, y) to what a joint moves, shape (6, 7)."""
 
-    Parameters
-    ----------
-    twists : int
-        1 for V, 2 for (V, D).
-    rates : sequence, optional
-        Largest q_i' (only for two twists); both ends of each range give a matrix.
 
-    Returns
-    -------
-    list of list of ndarray
-        One or two matrices a joint, shape (6 twists, 6 twists + 1); one entry for all joints where
-        there are no rates.
-    """
-    size = 6 * twists
-    plain = np.zeros((size, size + 1), dtype=int)
-    plain[:, :size] = np.eye(size, dtype=int)
-    plain[:6, size] = AXIS
-    if rates is None:
-        return [[plain]]
-    result = []
-    for rate in rates:
-        ends = []
-        for end in (rate, -rate):
-            matrix = plain.astype(object if not isinstance(rate, float) else float)
-            matrix[6:, :6] = -end * TURN
-            ends.append(matrix)
-        result.append(ends)
-    return result
+def turning_steps(rate: Any) -> list[np.ndarray]:
+    """Matrices that lead from (V, D, y) to what a joint moves, at both ends of its rates."""
+    stay, none = np.eye(6, dtype=int), np.zeros((6, 7), dtype=int)
+    return [
+        np.block([[stay, none[:, 1:], AXIS[:, None]], [-end * TURN, stay, none[:, :1]]])
+        for end in (rate, -rate)
+    ]
 
 
 def chain_inequalities(
@@ -161,7 +141,7 @@ def chain_inequalities(
     invariant : sequence
         B_2, ..., B_n, matrices that commute with rotations about z.
     joint_steps : sequence of sequence of ndarray
-        As of `steps`.
+        For each joint `STEP`, or its `turning_steps`.
 
     Yields
     ------
@@ -182,5 +162,5 @@ def chain_inequalities(
             yield axis.T @ total @ axis + scalars[0] * np.eye(1, dtype=int)
             return
         below = keep.T @ invariant[i - 1] @ keep
-        for step in joint_steps[i if len(joint_steps) > 1 else 0]:
+        for step in joint_steps[i]:
             yield step.T @ total @ step + scalars[i] * last - below

@@ -16,12 +16,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from lpv.core.serial_arm.certificate.link_forms import (
+    STEP,
     chain_inequalities,
     invariant_basis,
     placements,
     rotors_below,
     spatial_inertia,
-    steps,
+    turning_steps,
 )
 from lpv.core.serial_arm.chain import VISCOUS, FloatArray, compile_chain
 from lpv.core.serial_arm.description import SerialArm
@@ -126,25 +127,23 @@ def bound_inequalities(
     matrix
         As of `chain_inequalities`.
     """
-    forms: list[Any] = list(numbers.inertia)
-    scalars: Any = numbers.rotor
-    joint_steps = steps(1)
-    if bound == 'payload':
-        forms = [value * form for form in forms]
-        forms[-1] = forms[-1] - numbers.payload
-        scalars = [value * rotor for rotor in scalars]
-    elif bound == 'damping':
-        forms = [value * form for form in forms]
-        scalars = [value * rotor - v for rotor, v in zip(scalars, numbers.viscous)]
-    elif bound == 'inertia':
-        scalars = [scalars[i] - value[i] for i in range(len(forms))]
-    else:
-        # nu M - M' with time in units of 1/unit; -M' is that of the opposite rates.
-        zero = np.zeros((6, 6), dtype=int)
+    scale = 1 if bound == 'inertia' else value
+    if bound == 'growth':  # time in units of 1/unit
         scale, unit = (1, value) if unit is None else (value, unit)
-        forms = [block([[scale * form, -form], [-form, zero]]) for form in forms]
-        scalars = [scale * rotor for rotor in scalars]
-        joint_steps = steps(2, [rate / unit for rate in numbers.rates])
+    forms = [scale * form for form in numbers.inertia]
+    scalars = [scale * rotor for rotor in numbers.rotor]
+    joint_steps = [[STEP]] * len(forms)
+    if bound == 'payload':
+        forms[-1] = forms[-1] - numbers.payload
+    elif bound == 'damping':
+        scalars = [rotor - viscous for rotor, viscous in zip(scalars, numbers.viscous)]
+    elif bound == 'inertia':
+        scalars = [rotor - value[i] for i, rotor in enumerate(scalars)]
+    else:
+        # nu M - M'; -M' is that of the opposite rates.
+        pairs, zero = zip(forms, numbers.inertia), np.zeros((6, 6), dtype=int)
+        forms = [block([[form, -own], [-own, zero]]) for form, own in pairs]
+        joint_steps = [turning_steps(rate / unit) for rate in numbers.rates]
     yield from chain_inequalities(numbers.placement, forms, scalars, invariant, joint_steps)
 
 
