@@ -273,17 +273,14 @@ def _error_proof(gains: LoopGains, numbers: LoopNumbers, decay: float) -> ErrorP
 
 def _limit_lines(arm: SerialArm, gains: LoopGains, largest: float) -> list[str]:
     """What limits the region: how far it would reach with one of its figures changed."""
-    unloaded = replace(gains, model=replace(gains.model, payload=1e-3))
-    true = replace(gains, model_error=0.0)
-    undamped = replace(gains, model=replace(gains.model, damping=1e-3))
-    faster = replace(gains, bandwidth=1.5 * gains.bandwidth)
-    others = (
-        ('without payload', unloaded),
-        ('with a true model', true),
-        ('without viscous friction', undamped),
-        (f'with a bandwidth of {faster.bandwidth:g} rad/s', faster),
-    )
+    faster, model = replace(gains, bandwidth=1.5 * gains.bandwidth), gains.model
+    others = {
+        'without payload': replace(gains, model=replace(model, payload=1e-3)),
+        'with a true model': replace(gains, model_error=0.0),
+        'without viscous friction': replace(gains, model=replace(model, damping=1e-3)),
+        f'with a bandwidth of {faster.bandwidth:g} rad/s': faster,
+    }
     return [
         f'largest region: {largest:.3g} of all velocity limits at once; what limits it:',
-        *(f'  {text}: {largest_share(arm, other):.3g}' for text, other in others),
+        *(f'  {text}: {largest_share(arm, other):.3g}' for text, other in others.items()),
     ]
