@@ -35,9 +35,9 @@ class LoopNumbers(NamedTuple):
     step: Any  # sample time times w
 
 
-def _rows(size: int, *first: int) -> list[np.ndarray]:
-    """Selections of 1 row of a vector."""
-    return [np.eye(1, size, k, dtype=int) for k in first]
+def _rows(*first: int) -> list[np.ndarray]:
+    """Selections of 1 row of a vector of 6."""
+    return [np.eye(1, 6, k, dtype=int) for k in first]
 
 
 def _sector(inside: np.ndarray, outside: np.ndarray, low: Any, high: Any) -> np.ndarray:
@@ -70,19 +70,15 @@ def motion_matrix(
     matrix
         Shape (5, 5), or (6, 6) with a level.
     """
-    size = 5 if level is None else 6
-    state, damped, driven = np.eye(3, size, dtype=int), *_rows(size, 3, 4)
-    inside = _GAIN @ state + damped
-    if level is not None:
-        inside = inside - _rows(size, 5)[0]
+    state, (damped, driven, missed) = np.eye(3, 6, dtype=int), _rows(3, 4, 5)
+    inside = _GAIN @ state + damped - missed
     change = state.T @ p @ (_INTEGRATORS @ state - np.eye(3, dtype=int)[:, 2:] @ driven)
     total = change + change.T + (numbers.growth + 2 * decay) * (state.T @ p @ state)
     total = total + multipliers[0] * _sector(driven, inside, numbers.low, numbers.high)
     total = total + multipliers[1] * _sector(damped, state[2:], 0, numbers.damping)
-    if level is not None:
-        last = _rows(size, 5)[0]
-        total = total - 2 * decay * level * (last.T @ last)
-    return total
+    if level is None:
+        return total[:5, :5]
+    return total - 2 * decay * level * (missed.T @ missed)
 
 
 def sampled_matrix(p: Any, multipliers: Any, numbers: LoopNumbers, decay: Any) -> Any:
@@ -106,7 +102,7 @@ def sampled_matrix(p: Any, multipliers: Any, numbers: LoopNumbers, decay: Any) -
     h = numbers.step
     later = 1 - 2 * h * numbers.growth  # at most exp(-2 h growth)
     state = np.eye(4, 6, dtype=int)
-    integral, error, rate, command, damped, driven = _rows(6, 0, 1, 2, 3, 4, 5)
+    integral, error, rate, command, damped, driven = _rows(0, 1, 2, 3, 4, 5)
     next_error = error + h * rate - h * h / 2 * driven
     following = np.vstack(
         [integral + h * next_error, next_error, rate - h * driven, _GAIN @ state[:3]]
