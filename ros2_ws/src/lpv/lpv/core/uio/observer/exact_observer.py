@@ -60,9 +60,7 @@ def injection(
 
 
 @njit
-def exact_rate(
-    params: np.record, state: np.record, y: np.ndarray, torque: np.ndarray, end: int
-) -> None:
+def exact_rate(params: np.record, state: np.record, y: np.ndarray, end: int) -> None:
     """d theta^/dt and d theta^'/dt as in the module's docstring, and theta'', at one end of a step.
 
     f^ follows from the angles once these are known.  The correction of a link's angle is suspended
@@ -76,7 +74,7 @@ def exact_rate(
     v = row_dot(angle, 0, y[2], y[3]), row_dot(angle, 1, y[2], y[3])
     p_1, p_2, k_1, k_2 = injection(x, v, (x[2] - v[0], x[3] - v[1]), params.mu, params.arm)
     # Measured rates feed friction and Coriolis terms: no fault in them.
-    model[0], model[1] = acceleration(x, v, torque, params.arm)
+    model[0], model[1] = acceleration(x, v, state.torque, params.arm)
     rate[0] = v[0] - (0.0 if state.held[0] else params.kappa[0]) * p_1
     rate[1] = v[1] - (0.0 if state.held[1] else params.kappa[1]) * p_2
     rate[2], rate[3] = model[0] - k_1, model[1] - k_2

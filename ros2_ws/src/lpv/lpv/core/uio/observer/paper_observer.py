@@ -67,15 +67,13 @@ def observer_matrices(arm: ArmParameters, gains: PaperObserverGains) -> np.ndarr
 
 
 @njit
-def paper_rate(
-    params: np.record, state: np.record, y: np.ndarray, torque: np.ndarray, end: int
-) -> None:
+def paper_rate(params: np.record, state: np.record, y: np.ndarray, end: int) -> None:
     """z' = N x^ - K y + G u, eq. (38) with (50), at one end of a step.
 
     The matrices are those of the angles at the first end, eqs. (6), (9), (11), (12) and (25), as
     estimated: theta is not measured without the fault.
     """
-    matrix, rate, rho = state.matrix, state.rate[end], state.rho
+    matrix, rate, rho, torque = state.matrix, state.rate[end], state.rho, state.torque
     if end == 0:
         phi_1, phi_2, phi_3 = paper_scheduling(state.x[0], state.x[1])
         paper_weights(phi_1, phi_2, phi_3, params.box, rho)

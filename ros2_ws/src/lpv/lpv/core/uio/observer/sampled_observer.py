@@ -278,36 +278,29 @@ def _hold(params: np.record, state: np.record, interval: float) -> None:
 
 
 @njit
-def advance(
-    params: np.record,
-    state: np.record,
-    y_old: np.ndarray,
-    y_new: np.ndarray,
-    torque: np.ndarray,
-    dt: float,
-) -> None:
+def advance(params: np.record, state: np.record, dt: float) -> None:
     """Advance x^ = z + T2 y of eq. (38) over one step [s] by the Heun rule.
 
-    Outputs are those of both ends, in sensor coordinates; the generalised torques Q are held over
-    the step [N m].  ``bend`` receives at least how much theta'' has changed.
+    Outputs go from ``y`` to ``after``; torques are held over the step.  ``bend`` receives at least
+    how much theta'' has changed.
     """
     x, start, rate = state.x, state.start, state.rate
     for i in range(6):
         start[i] = x[i]
         for j in range(4):
-            start[i] += params.t2[i, j] * (y_new[j] - y_old[j])
+            start[i] += params.t2[i, j] * (state.after[j] - state.y[j])
     for end in range(2):
-        y = y_old if end == 0 else y_new
+        y = state.y if end == 0 else state.after
         if params.is_exact:
-            exact_rate(params, state, y, torque, end)
+            exact_rate(params, state, y, end)
         else:
-            paper_rate(params, state, y, torque, end)
+            paper_rate(params, state, y, end)
         for i in range(6):
             x[i] = start[i] + dt * (rate[0, i] if end == 0 else 0.5 * (rate[0, i] + rate[1, i]))
     if params.is_exact:
         for i in range(2):
             state.bend[i] = max(state.bend[i], abs(state.model[1, i] - state.model[0, i]))
-        _see_faults(params, state, y_new)
+        _see_faults(params, state, state.after)
 
 
 @njit
@@ -319,7 +312,7 @@ def _advance(params: np.record, state: np.record, interval: float) -> None:
         for i in range(4):
             share = (state.y_new[i] - state.y[i]) / left
             state.after[i] = state.y_new[i] if left == 1 else state.y[i] + share
-        advance(params, state, state.y, state.after, state.torque, interval / steps)
+        advance(params, state, interval / steps)
         copy_vector(state.after, state.y)
 
 
