@@ -68,5 +68,5 @@ class PaperPlant:
         """theta'' without disturbance, of the LPV plant by eq. (25) [rad/s2]."""
         if self._lower is None:
             return np.array(acceleration(x, x[2:], torque, self._constants))
-        paper_weights(*paper_scheduling(x[0], x[1]), self._box, self._weights)
+        paper_weights(paper_scheduling(x[0], x[1]), self._box, self._weights)
         return (self._weights @ self._lower).reshape(2, 6) @ np.append(x, torque)

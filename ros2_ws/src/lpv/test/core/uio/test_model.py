@@ -106,7 +106,7 @@ def test_given_a_point_out_of_reach_or_a_singularity_when_solved_then_the_error_
 
 def weights_of(phi, box):
     rho = np.full(8, np.nan)
-    polytope.paper_weights(*phi, np.ascontiguousarray(box, float), rho)
+    polytope.paper_weights(tuple(phi), np.ascontiguousarray(box, float), rho)
     return rho
 
 

@@ -34,9 +34,7 @@ def paper_scheduling(theta_1: float, theta_2: float) -> tuple[float, ...]:
 
 
 @njit
-def paper_weights(
-    phi_1: float, phi_2: float, phi_3: float, box: np.ndarray, out: np.ndarray
-) -> None:
+def paper_weights(phi: tuple[float, ...], box: np.ndarray, out: np.ndarray) -> None:
     """Vertex weights rho_1..rho_8 of eqs. (11)-(12), written to ``out``.
 
     Variables outside the box are clipped to it: weights stay in [0, 1] and sum to one.
@@ -44,13 +42,11 @@ def paper_weights(
     The box has a minimum and a maximum of each variable, shape (3, 2); vertex 1 is
     (min, min, min), vertex 8 (max, max, max).
     """
-    a1 = min(max((box[0, 1] - phi_1) / (box[0, 1] - box[0, 0]), 0.0), 1.0)
-    a2 = min(max((box[1, 1] - phi_2) / (box[1, 1] - box[1, 0]), 0.0), 1.0)
-    a3 = min(max((box[2, 1] - phi_3) / (box[2, 1] - box[2, 0]), 0.0), 1.0)
-    for i in range(8):
-        first = a1 if i < 4 else 1.0 - a1
-        second = a2 if i % 4 < 2 else 1.0 - a2
-        out[i] = first * second * (a3 if i % 2 == 0 else 1.0 - a3)
+    out[:] = 1.0
+    for k in range(3):
+        share = min(max((box[k, 1] - phi[k]) / (box[k, 1] - box[k, 0]), 0.0), 1.0)
+        for i in range(8):
+            out[i] *= share if (i >> (2 - k)) % 2 == 0 else 1.0 - share
 
 
 def sinc_box(s_min: float) -> np.ndarray:

@@ -75,8 +75,7 @@ def paper_rate(params: np.record, state: np.record, y: np.ndarray, end: int) -> 
     """
     matrix, rate, rho, torque = state.matrix, state.rate[end], state.rho, state.torque
     if end == 0:
-        phi_1, phi_2, phi_3 = paper_scheduling(state.x[0], state.x[1])
-        paper_weights(phi_1, phi_2, phi_3, params.box, rho)
+        paper_weights(paper_scheduling(state.x[0], state.x[1]), params.box, rho)
         matrix[:] = 0.0
         for i in range(8):
             for r in range(6):
