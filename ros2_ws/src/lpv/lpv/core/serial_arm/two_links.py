@@ -181,15 +181,11 @@ class ArmParameters(LpvRegion):
         inertia = link.inertia + mass * link.length**2
         return replace(self, links=(self.links[0], Link(total, link.length, center, inertia)))
 
-    def scaled(
-        self,
-        mass_factors: Sequence[float] = (1.0, 1.0),
-        inertia_factors: Sequence[float] = (1.0, 1.0),
-    ) -> 'ArmParameters':
-        """This arm with the masses and inertias of its links multiplied (model error)."""
+    def scaled(self, masses: Sequence[float], inertias: Sequence[float]) -> 'ArmParameters':
+        """This arm with masses and inertias of its links times these factors (model error)."""
         links = tuple(
             replace(link, mass=link.mass * m, inertia=link.inertia * i)
-            for link, m, i in zip(self.links, mass_factors, inertia_factors)
+            for link, m, i in zip(self.links, masses, inertias)
         )
         return replace(self, links=links)
 

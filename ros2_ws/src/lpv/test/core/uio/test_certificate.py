@@ -297,7 +297,7 @@ def test_given_numbers_beyond_arithmetic_when_verified_then_they_are_refused(
 def test_given_forged_hashes_or_noise_then_inequalities_refuse_them(
     paper_arm, paper_model, paper_gains
 ):
-    heavier = two_link_arm(paper_model.scaled(mass_factors=(1.0, 1.5)))
+    heavier = two_link_arm(paper_model.scaled((1.0, 1.5), (1.0, 1.0)))
     with pytest.raises(ConfigError, match='designed for another arm'):
         paper_gains.verify(heavier)
     forged = replace(paper_gains, arm_sha256=paper_gains.hash_of(heavier))

@@ -38,7 +38,6 @@ def test_given_factors_or_a_payload_then_links_follow_and_mass_is_positive(paper
     first = replace(one, mass=1.2 * one.mass, inertia=1.5 * one.inertia)
     second = replace(two, mass=0.9 * two.mass, inertia=0.5 * two.inertia)
     assert paper_model.scaled((1.2, 0.9), (1.5, 0.5)).links == (first, second)
-    assert paper_model.scaled() == paper_model
 
 
 def conversions(joints):
