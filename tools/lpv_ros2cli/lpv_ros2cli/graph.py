@@ -28,29 +28,21 @@ _QUIET = 0.4
 @contextlib.contextmanager
 def command_node() -> Iterator['Node']:
     """Context with a hidden node."""
-    import rclpy
-    from rclpy.signals import SignalHandlerOptions
+    from lpv.bag.rosbag.live import node_alone
 
-    try:
-        rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
-        node = rclpy.create_node(
-            f'_ros2cli_{os.getpid()}', start_parameter_services=False, enable_rosout=False
-        )
-    except (RuntimeError, ValueError) as error:  # of rcl: a domain that does not exist, no network
-        rclpy.try_shutdown()
-        raise CliError(f'no ROS node: {" ".join(str(error).split())}') from error
-    try:
+    options = {'start_parameter_services': False, 'enable_rosout': False}
+    with contextlib.ExitStack() as stack:
+        try:
+            node, _ = stack.enter_context(node_alone(f'_ros2cli_{os.getpid()}', **options))
+        except (RuntimeError, ValueError) as error:  # of rcl: no such domain, no network
+            raise CliError(f'no ROS node: {" ".join(str(error).split())}') from error
         yield node
-    finally:
-        node.destroy_node()
-        rclpy.try_shutdown()
 
 
 def spin(node: 'Node') -> None:
     """Handle what has come, or wait for it: not long, so that SIGINT is seen in between."""
-    import rclpy
-
-    rclpy.spin_once(node, timeout_sec=0.1)
+    executor: Any = node.executor  # of node_alone
+    executor.spin_once(timeout_sec=0.1)
 
 
 def settle(node: 'Node') -> None:

@@ -41,7 +41,7 @@ def node_alone(
 ) -> Iterator[tuple[Node, SingleThreadedExecutor]]:
     """A node in a context of its own, and its executor, for as long as they are needed."""
     context = Context()
-    rclpy.init(context=context, domain_id=domain)
+    rclpy.init(args=[], context=context, domain_id=domain)
     node, executor = make(name, context=context, **options), SingleThreadedExecutor(context=context)
     executor.add_node(node)
     try:
