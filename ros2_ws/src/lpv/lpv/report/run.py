@@ -11,7 +11,7 @@ import numpy as np
 from lpv.bag.run.record import RunRecord
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.serial_arm.diagnosis.alarms import SensorState, blamed
-from lpv.core.support.formatting import bound, decimals
+from lpv.core.support.formatting import bound, decimals, sized
 from lpv.core.support.resources import installed_version
 from lpv.core.support.timestamps import NANOSECONDS
 from lpv.report import figures, history
@@ -115,11 +115,7 @@ def _error(alarm: Episode, arm: SerialArm) -> str:
     sensor = blamed(alarm.sensor, alarm.kind)
     if alarm.kind == 'dropout':
         return f'{sensor} no readings'
-    if not math.isfinite(alarm.bound):
-        return f'{sensor} of unknown size'
-    unit = alarm.unit(arm)
-    text = f'{sensor} {_size(alarm.size, unit, "+")} {unit}'
-    return f'{text} (bound {bound(alarm.bound, unit)})' if alarm.bound > 0.0 else text
+    return f'{sensor} {sized(alarm.size, alarm.bound, alarm.unit(arm))}'
 
 
 def _verdict(run: Run) -> str:

@@ -105,8 +105,8 @@ def test_given_joints_when_findings_are_told_then_each_has_its_unit_if_it_has_a_
     replay.show_injected(found, arm, Console(width=200))
     told = capsys.readouterr().out
     others = '; wrongly alarmed, too: x\n'
-    assert f'+0.1200 m within 0.0300 m, size error +0.0200 m{others}' in told
-    assert f'as rate_bias, +0.1200 m/s within 0.0300 m/s{others}' in told
+    assert f'+0.1200 m (bound 0.0300 m), size error +0.0200 m{others}' in told
+    assert f'as rate_bias, +0.1200 m/s (bound 0.0300 m/s){others}' in told
     assert f'as dropout{others}' in told
     worst = Finding(np.array([0.5, 0.7]), np.array([0.2, 0.1]), np.ones(2), False, None)
     falsify._conclude(SimpleNamespace(arm=arm), [worst])

@@ -194,7 +194,7 @@ def test_given_a_prismatic_joint_when_reported_then_its_figures_are_in_metres(pa
     record.joint_names, record.streams['ground_truth']['velocity'][9, 1] = arm.joint_names, 30.0
     found = analysed(record, arm)
     values = content(found)
-    assert 'right -0.9980 m (bound 0.1000)' in values['verdict']
+    assert 'right -0.9980 m (bound 0.1000 m)' in values['verdict']
     assert '30 m/s true, limit 20 m/s' in values['verdict']
     assert tile(values, 'fastest joint').value == '30 m/s'
     assert [row['unit'] for row in values['detectable']] == ['rad', 'm']
@@ -324,7 +324,7 @@ def test_given_a_run_that_ran_away_when_shown_then_its_colours_are_those_of_the_
 
 
 @pytest.mark.parametrize(('fields', 'said'), [
-    ({'kind': 'rate_bias', 'size': 0.05, 'bound': 0.01}, 'left (rate) +0.050 rad/s (bound 0.010)'),
+    ({'kind': 'rate_bias', 'bound': 0.01}, 'left (rate) +0.300 rad/s (bound 0.010 rad/s)'),
     ({'kind': 'dropout', 'size': 0.0, 'bound': 0.0}, 'left no readings'),
     ({'kind': 'noise', 'bound': np.inf}, 'left of unknown size'),
 ])  # fmt: skip
@@ -369,7 +369,7 @@ def test_given_an_alarm_that_lasts_when_reported_then_its_size_is_the_error_now(
     (episode,) = episodes(record)
     assert (episode.size, episode.bound, episode.largest) == pytest.approx((0.02, 0.01, 0.3))
     said = page(record)['verdict']
-    assert 'error at the end of the run: left +0.020 rad (bound 0.010)' in said
+    assert 'error at the end of the run: left +0.020 rad (bound 0.010 rad)' in said
 
 
 def test_given_the_states_of_a_sensor_when_drawn_then_bars_and_legend_agree(paper_arm):

@@ -24,7 +24,7 @@ from lpv.core.simulation.scenario import load_scenario, parse_faults
 from lpv.core.support.config import Section, read_yaml
 from lpv.core.support.discovery import stay_local
 from lpv.core.support.errors import ConfigError
-from lpv.core.support.formatting import bound, decimals
+from lpv.core.support.formatting import decimals, sized
 from lpv.core.support.resources import bringup_file
 from lpv.core.support.timestamps import NANOSECONDS
 
@@ -147,9 +147,7 @@ def show_injected(found: list[InjectedFault], arm: SerialArm, console: Console) 
             unit, digits = size_unit(last.kind, unit), decimals(unit)
             text += f' after {one.delay:.3f} s as {last.kind}'
             if last.kind != 'dropout':  # which has no size
-                most = bound(last.bound, unit)
-                text += f', {last.size:+.{digits}f} {unit}'
-                text += '' if most == '-' else f' within {most} {unit}'
+                text += f', {sized(last.size, last.bound, unit)}'
             if one.error is not None:
                 text += f', size error {one.error:+.{digits}f} {unit}'
             if one.wrong_sensors:

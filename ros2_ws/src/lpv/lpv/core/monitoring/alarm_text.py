@@ -1,6 +1,5 @@
 """Alarm events and counters of samples in the words of an operator."""
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
 
@@ -12,7 +11,7 @@ from lpv.core.serial_arm.diagnosis.alarms import (
     AlarmEvent,
     size_unit,
 )
-from lpv.core.support.formatting import bound, decimals
+from lpv.core.support.formatting import decimals, sized
 
 _EVENTS = {
     AlarmEvent.RAISED: 'ALARM',
@@ -86,9 +85,7 @@ def describe(event: Alarm) -> str:
     """An alarm event as one line: sensor, error with its bound, kind, confidence."""
     head = f'{_EVENTS[event.event]}, {event.sensor}: '
     unit, digits = size_unit(event.kind, event.unit), decimals(event.unit)
-    error = 'of unknown size' if math.isinf(event.bound) else f'{event.size:+.{digits}f} {unit}'
-    if 0.0 < event.bound < math.inf:
-        error += f' (bound {bound(event.bound, unit)} {unit})'
+    error = sized(event.size, event.bound, unit)
     if event.kind == 'dropout':
         over = ' is over' if event.event == AlarmEvent.CLEARED else ''
         return f'{head}no readings (dropout){over}'

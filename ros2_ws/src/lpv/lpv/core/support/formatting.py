@@ -23,6 +23,14 @@ def bound(value: float, unit: str) -> str:
     return f'{math.ceil(value * 10**digits - 1e-6) / 10**digits:.{digits}f}'
 
 
+def sized(error: float, most: float, unit: str) -> str:
+    """An error in radians or metres with its bound; without a finite one its size is not known."""
+    if not most < math.inf:
+        return 'of unknown size'
+    stated = f' (bound {bound(most, unit)} {unit})' if most > 0.0 else ''
+    return f'{error:+.{decimals(unit)}f} {unit}{stated}'
+
+
 def seconds(value: float | None) -> str:
     """A time in s or ms; ``-`` where there is none."""
     if value is None:
