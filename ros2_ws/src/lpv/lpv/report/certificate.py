@@ -54,11 +54,6 @@ def described_arm(gains: CertifiedGains) -> SerialArm | None:
     return load_arm(file) if file is not None else None
 
 
-def gains_file(name: str) -> Path:
-    """A gains file: a path, or the name of shipped ones."""
-    return Path(name) if Path(name).is_file() else bringup_file('gains', name)
-
-
 def examine(path: str | Path | None, arm: SerialArm, source: str = '') -> Certificate:
     """Verify the certificate of a gains file for an arm; what stands against it is its problem."""
     if path is None:

@@ -33,10 +33,8 @@ def software() -> str:
 
 def load_campaign(name: str, designed: bool = True) -> tuple[Path, Campaign]:
     """A campaign file, or a shipped one by its name, as of `resolve`, and where it is."""
-    path = Path(name)
-    if not path.is_file():
-        path = bringup_file('campaigns', name)
-    return path, resolve(read_yaml(path), str(path), path.resolve().parent, designed)
+    path = bringup_file('campaigns', name)
+    return path, resolve(read_yaml(path), str(path), path.parent, designed)
 
 
 def resolve(
@@ -44,14 +42,14 @@ def resolve(
 ) -> Campaign:
     """Inline all files that a campaign names, relative to a folder, and design its gains."""
     spec = parse_spec(data, source)
-    arm_file = _file('arms', spec.arm, folder)
-    arm = load_arm(arm_file)
+    arm = load_arm(bringup_file('arms', spec.arm, folder))
     paths = [spec.scenario if path == 'scenario' else path for path in _values(spec, 'path')]
     names = {spec.scenario, *(path for path in paths if path not in PATHS)}
+    scenarios = {name: bringup_file('scenarios', name, folder) for name in sorted(names)}
     content: dict[str, Any] = {
         'spec': data,
         'arm': to_mapping(arm),
-        'scenarios': {name: read_yaml(_file('scenarios', name, folder)) for name in sorted(names)},
+        'scenarios': {name: read_yaml(file) for name, file in scenarios.items()},
         'gains': {},
         'designs': {},
         'software': software(),
@@ -67,17 +65,11 @@ def resolve(
                 gains = find_gains(design, at, folder)
                 content['gains'][f'{design}@{at.sample_time!r}'] = gains.mapping()
         # Of gains and requirement files, or of shipped requirements.
-        files = {name: Path(folder) / name for name in spec.designs}
-        files = {n: f if f.is_file() else bringup_file('requirements', n) for n, f in files.items()}
+        files = {name: bringup_file('requirements', name, folder) for name in spec.designs}
         content['designs'] = {name: sha256_of(read_yaml(file)) for name, file in files.items()}
     campaign = Campaign(json.dumps(content, sort_keys=True))
     campaign.check()
     return campaign
-
-
-def _file(kind: str, name: str, folder: str | Path) -> Path:
-    path = Path(folder) / name
-    return bringup_file(kind, str(path) if path.is_file() else name)
 
 
 def _values(spec: CampaignSpec, name: str) -> tuple[Any, ...]:
@@ -87,8 +79,8 @@ def _values(spec: CampaignSpec, name: str) -> tuple[Any, ...]:
 
 def find_gains(name: str, arm: SerialArm, folder: str | Path = '.') -> Gains:
     """Gains of a gains file, checked, or designed for a requirement, a file or a shipped one."""
-    path = Path(folder) / name
-    if path.is_file() and 'ros__parameters' in path.read_text(encoding='utf-8', errors='ignore'):
+    path = bringup_file('requirements', name, folder)
+    if 'ros__parameters' in path.read_text(encoding='utf-8', errors='ignore'):
         gains = load_gains(path)
         gains.require(arm, name)
         return gains
@@ -96,7 +88,7 @@ def find_gains(name: str, arm: SerialArm, folder: str | Path = '.') -> Gains:
     from lpv_design.design_flow import design
     from lpv_design.requirement import load_requirement
 
-    return design(arm, load_requirement(path if path.is_file() else name)).gains
+    return design(arm, load_requirement(path)).gains
 
 
 class Campaign:

@@ -101,7 +101,7 @@ def _publish(arguments: argparse.Namespace, console: Console) -> int:
 
 def _faults(name: str) -> tuple[Fault, ...]:
     """Faults of a list in a file, or of a scenario, which may be a shipped one."""
-    path = Path(name) if Path(name).is_file() else bringup_file('scenarios', name)
+    path = bringup_file('scenarios', name)
     data = read_yaml(path)
     if 'path' in data:
         return load_scenario(path).faults

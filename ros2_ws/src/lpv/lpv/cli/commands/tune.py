@@ -25,6 +25,7 @@ from lpv.core.monitoring.parameters import DiagnosisParameters
 from lpv.core.support.config import read_yaml, sha256_of, write_parameters
 from lpv.core.support.errors import ConfigError
 from lpv.core.support.limits import LARGEST
+from lpv.core.support.resources import bringup_file
 from lpv.core.uio.certificate.gains import Gains, load_gains
 from lpv.report.table import print_grid
 from lpv_design.design_flow import design
@@ -56,8 +57,8 @@ class _Bench:
             raise ConfigError('arm', f'{self.arm.name} has no lpv region: no design to tune')
         if len(self.campaign.spec.designs) > 1 or 'sample_time' in self.campaign.spec.factors:
             raise ConfigError('designs', 'must be one, at one sample time')
-        near = path.resolve().parent / self.campaign.spec.designs[0]
-        self._requirement = load_requirement(near if near.is_file() else near.name)
+        first = self.campaign.spec.designs[0]
+        self._requirement = load_requirement(bringup_file('requirements', first, path.parent))
         self._data = read_yaml(self._requirement.source)
         self._parts = {'observer': self._requirement.observer,
                        'controller': self._requirement.controller,

@@ -3,13 +3,14 @@
 import argparse
 
 from lpv.core.support.errors import ConfigError
+from lpv.core.support.resources import bringup_file
 from lpv.core.uio.certificate.gains import load_certified
-from lpv.report.certificate import described_arm, gains_file
+from lpv.report.certificate import described_arm
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Rebuild and judge every inequality; 1 if one does not hold."""
-    found = load_certified(gains_file(arguments.gains))
+    found = load_certified(bringup_file('gains', arguments.gains))
     arm = arguments.arm or described_arm(found)
     if arm is None:
         raise ConfigError('--arm', 'is needed: the gains do not describe theirs', arguments.gains)

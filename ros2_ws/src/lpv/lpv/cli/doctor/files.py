@@ -50,12 +50,12 @@ def check_arm(name: str) -> tuple[SerialArm | None, Finding]:
 def check_gains(name: str, arm: SerialArm | None, arm_name: str | None = 'ARM') -> Finding:
     """Whether gains can be read, belong to the arm, and have a certificate that holds."""
     from lpv.core.uio.certificate.gains import load_certified
-    from lpv.report.certificate import examine, gains_file
+    from lpv.report.certificate import examine
 
     out = name if Path(name).suffix else f'{name}.yaml'
     again = f'lpv design --arm {arm_name or "ARM"} --out {out}'
     try:
-        file = gains_file(name)
+        file = bringup_file('gains', name)
         text = load_certified(file).arm_name
     except (LpvError, OSError) as problem:
         return error('gains', str(problem), again)

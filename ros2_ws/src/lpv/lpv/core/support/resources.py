@@ -57,19 +57,22 @@ def shipped_files(kind: str) -> dict[str, Path]:
     return {file.stem: file for file in sorted(folder.glob('*.yaml'))}
 
 
-def bringup_file(kind: str, name: str) -> Path:
+def bringup_file(kind: str, name: str, folder: str | Path = '.') -> Path:
     """An arm, scenario, column or campaign file: a path, or the bare name of a shipped one.
 
-    ``kind`` is a folder of lpv_bringup, e.g. arms.  A bare name goes with or without ``.yaml``.
-    ConfigError, which names the shipped files, if there is no such file.
+    ``kind`` is a folder of lpv_bringup, e.g. arms; paths count from ``folder`` on.  A bare name
+    goes with or without ``.yaml``.  ConfigError, which names the shipped files, if there is no such
+    file.
     """
-    path = Path(name)
+    path = Path(folder, name)
     if path.suffix in ('.yaml', '.yml') and path.is_file():
         return path.resolve()
     # A bare name cannot leave the folder.
     shipped = shipped_files(kind)
     if path.name == name and path.suffix in ('', '.yaml') and path.stem in shipped:
         return shipped[path.stem]
+    if path.is_file():
+        return path.resolve()
     raise ConfigError(
         kind.rstrip('s'), f'{name!r} is neither a file nor shipped; shipped: ' + ', '.join(shipped)
     )
