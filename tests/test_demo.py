@@ -21,7 +21,6 @@ from runs import ALL
 
 from lpv import AlarmEvent, DiagnosisParameters, load_arm, load_gains, load_scenario
 from lpv.bag.run.record import load_run
-from lpv.cli.main import main
 from lpv.cli.options import COMMANDS
 from lpv.core.control.tracking import COMPENSATION
 from lpv.core.simulation.closed_loop import run_closed_loop
@@ -132,17 +131,6 @@ def test_given_a_serial_arm_when_shown_then_the_fault_is_named_and_torques_as_of
     assert np.abs(error).max() < 0.02  # the true arm stayed on its path
     call('compare', tmp_path / 'bag', tmp_path / 'bag', '--exact')
     assert commands_as_offline(record, arm, run_closed_loop(arm, load_scenario(scenario))) >= 600
-
-
-@pytest.mark.parametrize('command', ['design', 'demo', 'import-csv', 'replay', 'compare', 'report'])
-def test_given_a_command_when_asked_for_help_then_every_option_is_explained(command, capsys):
-    with pytest.raises(SystemExit, match='^0$'):
-        main([command, '--help'])
-    said = capsys.readouterr().out
-    options = re.findall(r'^  (--[\w-]+)(.*(?:\n {10,}\S.*)*)', said, re.MULTILINE)
-    assert len(options) >= 3
-    for name, text in options:
-        assert re.search(r'(  |\n {10,})\S', text), name
 
 
 LAUNCH = BRINGUP / 'launch'
