@@ -32,7 +32,8 @@ settings.load_profile('lpv')
 import lpv  # noqa: E402  # its functions are loaded when asked for: not where nothing is run
 
 _ROS = importlib.util.find_spec('rclpy') is not None
-_OF_ROS = re.compile(r'^(import|from) (rclpy|hostile|lpv_node import|\w+_msgs)\b', re.MULTILINE)
+_OF_ROS = re.compile(r'^(import|from) (rclpy|hostile|lpv_node|\w+_msgs)\b', re.MULTILINE)
+_STAND_IN = importlib.util.find_spec('lpv_ros2cli') is not None  # where there is no ros2cli
 
 
 def pytest_report_header():
@@ -40,7 +41,8 @@ def pytest_report_header():
 
 
 def pytest_ignore_collect(collection_path, config):
-    """Tests of nodes need ROS 2; files without a test of the markers asked for are not imported."""
+    """Tests of nodes need ROS 2, those of our ros2 that it is there; files without a test of the
+    markers asked for are not imported."""
     if not collection_path.name.startswith('test_'):
         return None
     text, marker = collection_path.read_text(encoding='utf-8'), config.option.markexpr
@@ -48,7 +50,8 @@ def pytest_ignore_collect(collection_path, config):
     left_out = [] if ' or ' in marker else re.findall(r'\bnot (\w+)', marker)
     whole = (rf'^pytestmark = .*mark\.{one}\b' for one in left_out)  # all tests of the file
     marked = any(re.search(one, text, re.MULTILINE) for one in whole)
-    return unmarked or marked or (not _ROS and bool(_OF_ROS.search(text))) or None
+    no_ros2 = not _STAND_IN and 'lpv_ros2cli' in collection_path.parts
+    return unmarked or marked or no_ros2 or (not _ROS and bool(_OF_ROS.search(text))) or None
 
 
 def pytest_configure():

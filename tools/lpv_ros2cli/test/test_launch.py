@@ -13,12 +13,10 @@ import yaml
 from places import BRINGUP
 from ros2_commands import Running
 
-pytest.importorskip('lpv_ros2cli', reason='a real ros2cli is here')
-
-from lpv.core.support.resources import shipped_files  # noqa: E402
-from lpv_ros2cli.command_line import CliError  # noqa: E402
-from lpv_ros2cli.launch import Launch  # noqa: E402
-from lpv_ros2cli.main import main  # noqa: E402
+from lpv.core.support.resources import shipped_files
+from lpv_ros2cli.command_line import CliError
+from lpv_ros2cli.launch import Launch
+from lpv_ros2cli.main import main
 
 FILES = {path.name.partition('.')[0]: path for path in (BRINGUP / 'launch').glob('*.xml')}
 NODE = '<node pkg="lpv_uio" exec="uio"'

@@ -10,22 +10,18 @@ import time
 import pytest
 import ros
 import yaml
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
+from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor
+from rclpy.lifecycle import LifecycleNode
 from ros2_commands import Running
+from sensor_msgs.msg import Imu, JointState
+from std_msgs.msg import String, UInt8MultiArray
 
-pytest.importorskip('lpv_ros2cli', reason='a real ros2cli is here')
-pytest.importorskip('rclpy', reason='no ROS 2: neither wheels nor a sourced one')
-
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus  # noqa: E402
-from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor  # noqa: E402
-from rclpy.lifecycle import LifecycleNode  # noqa: E402
-from sensor_msgs.msg import Imu, JointState  # noqa: E402
-from std_msgs.msg import String, UInt8MultiArray  # noqa: E402
-
-from lpv_msgs.srv import InjectFault  # noqa: E402
-from lpv_ros2cli import command_line, messages  # noqa: E402
-from lpv_ros2cli.main import main  # noqa: E402
+from lpv_msgs.srv import InjectFault
+from lpv_ros2cli import command_line, messages
+from lpv_ros2cli.main import main
 
 
 def test_given_the_parser_when_built_then_nothing_heavy_is_imported():

@@ -8,20 +8,17 @@ from contextlib import contextmanager, suppress
 
 import pytest
 from places import PACKAGES
+from rclpy.serialization import serialize_message
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from test_view_server import GUARD, aiohttp, connected, get, send
 
+from lpv_node.view.access import Access
+from lpv_node.view.foxglove_bridge import FoxgloveBridge, gate
+from lpv_node.view.scene import Scene
+from lpv_node.view.server import ViewServer
+from lpv_node.view.topics import TOPICS as LISTENED
+
 pytest.importorskip('foxglove', reason='foxglove-sdk is not installed')
-pytest.importorskip('rclpy', reason='no ROS 2: neither wheels nor a sourced one')
-
-from rclpy.serialization import serialize_message  # noqa: E402
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore  # noqa: E402
-
-from lpv_node.view.access import Access  # noqa: E402
-from lpv_node.view.foxglove_bridge import FoxgloveBridge, gate  # noqa: E402
-from lpv_node.view.scene import Scene  # noqa: E402
-from lpv_node.view.server import ViewServer  # noqa: E402
-from lpv_node.view.topics import TOPICS as LISTENED  # noqa: E402
-
 APP = 'https://app.foxglove.dev'
 TOPICS = {
     '/lpv/arm_markers': ('visualization_msgs/msg/MarkerArray', 0),

@@ -12,12 +12,10 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from serial_bags import crane
 
-pytest.importorskip('lpv_node.view', reason='the workspace is not built')
-
-from lpv.core.simulation.faults import KINDS  # noqa: E402
-from lpv_node.view.alarm_list import CLEARED, RAISED, UPDATED, AlarmList  # noqa: E402
-from lpv_node.view.commands import CommandError, parse_command  # noqa: E402
-from lpv_node.view.model import WINDOW, LiveModel  # noqa: E402
+from lpv.core.simulation.faults import KINDS
+from lpv_node.view.alarm_list import CLEARED, RAISED, UPDATED, AlarmList
+from lpv_node.view.commands import CommandError, parse_command
+from lpv_node.view.model import WINDOW, LiveModel
 
 SENSORS = ('link1_angle', 'link2_angle', 'encoder3')
 

@@ -9,14 +9,11 @@ from importlib import resources
 from pathlib import Path
 
 import pytest
+import test_view_model as made
+from serial_bags import crane
+from test_view_model import RAISED, message, report, state_estimate
 
-pytest.importorskip('lpv_node.view', reason='the workspace is not built')
-
-import test_view_model as made  # noqa: E402
-from serial_bags import crane  # noqa: E402
-from test_view_model import RAISED, message, report, state_estimate  # noqa: E402
-
-from lpv_node.view.model import LiveModel  # noqa: E402
+from lpv_node.view.model import LiveModel
 
 NODE = shutil.which('node')
 pytestmark = pytest.mark.skipif(NODE is None, reason='there is no Node.js')

@@ -6,16 +6,14 @@ import socket
 import time
 from contextlib import AsyncExitStack, ExitStack, asynccontextmanager, contextmanager, suppress
 
+import aiohttp
 import pytest
 
-aiohttp = pytest.importorskip('aiohttp')
-pytest.importorskip('lpv_node.view', reason='the workspace is not built')
-
-from lpv.core.support.errors import ConfigError  # noqa: E402
-from lpv.core.support.limits import PATIENCE  # noqa: E402
-from lpv_node.view.access import Access  # noqa: E402
-from lpv_node.view.model import LiveModel  # noqa: E402
-from lpv_node.view.server import LARGEST_MESSAGE, MOST_CONNECTIONS, ViewServer  # noqa: E402
+from lpv.core.support.errors import ConfigError
+from lpv.core.support.limits import PATIENCE
+from lpv_node.view.access import Access
+from lpv_node.view.model import LiveModel
+from lpv_node.view.server import LARGEST_MESSAGE, MOST_CONNECTIONS, ViewServer
 
 TOKEN = 'a token of this test'
 INJECT = {'type': 'inject', 'id': 5, 'sensor': 'link1_angle', 'kind': 'bias', 'size': 0.3}
