@@ -62,12 +62,13 @@ def test_given_arguments_when_launched_then_they_are_forwarded_to_every_node(tmp
     given = dict.fromkeys(('record', 'view', 'respawn'), 'true')
     given |= {'bag': 'my bag', 'view_port': '0', 'namespace': 'cell/arm', 'log_level': 'debug'}
     given |= {'params_file': str(tmp_path / 'my own.yaml'), 'gains_file': '/my/gains.yaml'}
+    given['joint_states'] = '/x'
     found = programs(FILES['pipeline'], **given)
     assert list(found) == ['recorder', 'tracker', 'simulator', 'view', 'uio']
     for program in found.values():
         assert (program.respawn, program.respawn_delay, program.ends_all) == (True, 1.0, False)
         assert program.grace == 30.0 and options(program, '--log-level') == ['debug']
-        assert '__ns:=/cell/arm' in options(program, '-r')
+        assert {'__ns:=/cell/arm', 'joint_states:=/x'} <= {*options(program, '-r')}
         assert '/my/gains.yaml' in options(program, '--params-file')
         assert program.command[-1] == given['params_file']  # after all others
     values = {name: parameters(program) for name, program in found.items()}
