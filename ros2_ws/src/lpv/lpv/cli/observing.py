@@ -17,11 +17,9 @@ from lpv.report.certificate import beside_bag, named_arm, shipped_arm
 
 def reading_options(arguments: argparse.Namespace, **others: Any) -> ReplayOptions:
     """What of a bag is read, as the replay takes it."""
-    topics, ends = (
-        (arguments.topic, arguments.effort_topic),
-        (vars(arguments)['from'], arguments.to),
-    )
-    return ReplayOptions(*topics, *ends, arguments.torque_source == 'command', **others)
+    topics, start = (arguments.topic, arguments.effort_topic), vars(arguments)['from']
+    commanded = arguments.torque_source == 'command'
+    return ReplayOptions(*topics, start, arguments.to, commanded, **others)
 
 
 def arm_and_gains(

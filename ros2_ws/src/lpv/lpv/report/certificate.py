@@ -81,7 +81,7 @@ def beside_bag(bag: str | Path, name: str) -> Path | None:
 
 
 def find_arm_and_gains(
-    bag: str | Path, arm: SerialArm | None = None, gains: str | None = None
+    bag: str | Path, arm: SerialArm | None, gains: str | None
 ) -> tuple[SerialArm, Path | None, str]:
     """Arm and gains as given, else of the bag, else shipped; where the gains come from."""
     if not Path(bag).exists():

@@ -47,7 +47,7 @@ def check_arm(name: str) -> tuple[SerialArm | None, Finding]:
     return arm, ok('arm', f'{arm.name!r}, joints {", ".join(arm.joint_names)}')
 
 
-def check_gains(name: str, arm: SerialArm | None, arm_name: str | None = 'ARM') -> Finding:
+def check_gains(name: str, arm: SerialArm | None, arm_name: str | None) -> Finding:
     """Whether gains can be read, belong to the arm, and have a certificate that holds."""
     from lpv.core.uio.certificate.gains import load_certified
     from lpv.report.certificate import examine

@@ -47,7 +47,7 @@ def running_arm(shot: Snapshot) -> SerialArm | None:
     return None
 
 
-def check_anybody(shot: Snapshot, alone: bool = True) -> Finding:
+def check_anybody(shot: Snapshot, alone: bool) -> Finding:
     """Whether anything of this software runs on this domain."""
     if shot.ours():
         return ok('nodes', f'domain {shot.domain}: {", ".join(shot.ours())}')

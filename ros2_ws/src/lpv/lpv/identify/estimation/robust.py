@@ -19,7 +19,7 @@ def robust_scale(
     return np.maximum(median / 0.6745, least)
 
 
-def huber(ratio: np.ndarray, bound: float = HUBER) -> np.ndarray:
+def huber(ratio: np.ndarray, bound: float) -> np.ndarray:
     """Weights of residuals in units of their scale."""
     return bound / np.maximum(np.abs(ratio), bound)
 

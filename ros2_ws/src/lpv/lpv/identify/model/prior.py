@@ -55,9 +55,7 @@ def parameter_map(base: BaseParameters, joints: int) -> np.ndarray:
     return result
 
 
-def prior_of_all(
-    arm: SerialArm, geared: bool = False, load: float = LOAD_WIDTH
-) -> tuple[np.ndarray, np.ndarray]:
+def prior_of_all(arm: SerialArm, geared: bool, load: float) -> tuple[np.ndarray, np.ndarray]:
     """Mean and deviation of `SerialArm.parameter_vector` before the data, each (15 n,).
 
     Rotors that are not stated may be ``geared``: then they outweigh wrists.  ``load`` is the

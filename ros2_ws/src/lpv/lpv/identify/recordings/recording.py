@@ -88,8 +88,8 @@ def read_pairs(
     path: str | Path,
     first: Sequence[str],
     second: Sequence[str],
-    topic: str | None = None,
-    columns: ColumnMap | None = None,
+    topic: str | None,
+    columns: ColumnMap | None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Positions of joints and of their second encoders in the same samples, (n, joints) each."""
     _, position, *_ = _read(Path(path), first, topic, columns, second)
@@ -253,7 +253,7 @@ def _read_bag(path: Path, joints: Sequence[str], topic: str | None) -> tuple[Any
 
 
 def _read_csv(
-    path: Path, joints: Sequence[str], columns: ColumnMap | None, others: Sequence[str] = ()
+    path: Path, joints: Sequence[str], columns: ColumnMap | None, others: Sequence[str]
 ) -> tuple[list[np.ndarray], np.ndarray, np.ndarray | None, np.ndarray, list[str]]:
     """Stamps, positions, rates (or None), efforts, remarks of a CSV file with a header line.
 
