@@ -1,5 +1,6 @@
 """The real graph: nodes as processes, services, alarms, recordings; nodes that cannot start."""
 
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -103,7 +104,8 @@ def test_given_a_node_that_cannot_start_when_run_then_it_says_why_and_ends_with_
     given = ['--ros-args', *words.split()]
     if kind in (UioNode, TrackerNode) and '--params-file' not in words:
         given += ['--params-file', str(PAPER['gains'])]
-    assert managed.run_node(kind, given) == 1
+    monkeypatch.setattr(sys, 'argv', given)
+    assert managed.run_node(kind) == 1
     said = capfd.readouterr().err
     assert told in said and 'Traceback' not in said, said
     assert [path.name for path in tmp_path.iterdir()] == ['wrong.yaml'], 'no bag'

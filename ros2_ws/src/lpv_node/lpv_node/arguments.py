@@ -20,11 +20,10 @@ def use_profiles() -> None:
         os.environ[_PROFILE_VARIABLES[0]] = str(Path(__file__).with_name(name))
 
 
-def initialise(argv: list[str] | None = None) -> None:
+def initialise() -> None:
     """Start ROS without its signal handlers; ConfigError for wrong arguments or files."""
     use_profiles()
-    argv = sys.argv if argv is None else argv
-    for option, path in zip(argv, argv[1:]):
+    for option, path in zip(sys.argv, sys.argv[1:]):
         if option == '--params-file' and not Path(path).is_file():
             raise ConfigError(
                 '--params-file',
@@ -33,7 +32,7 @@ def initialise(argv: list[str] | None = None) -> None:
             )
     try:
         # rclpy's own handler shuts the context down at once, with messages still in the queues.
-        rclpy.init(args=argv, signal_handler_options=SignalHandlerOptions.NO)
+        rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     except (RuntimeError, ValueError) as error:  # rcl's errors, arguments that rcl does not know
         raise refused(error) from error
 

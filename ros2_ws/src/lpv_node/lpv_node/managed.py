@@ -265,12 +265,12 @@ def make_executor() -> Executor:
     return EventsExecutor()
 
 
-def run_node(node_class: Callable[[], ManagedNode], argv: list[str] | None = None) -> int:
+def run_node(node_class: Callable[[], ManagedNode]) -> int:
     """Run one managed node until it finishes or is told to stop; 1 if it could not start."""
     stop = StopRequest()
     node, code = None, 1
     try:
-        initialise(argv)
+        initialise()
         try:
             node = node_class()
         except RCLError as error:  # of a name or namespace that nodes cannot have

@@ -7,14 +7,13 @@ import importlib
 import signal
 import sys
 import threading
-from collections.abc import Sequence
 
 from lpv.core.support.limits import QUIET
 from lpv.core.support.signals import STOPS, StopRequest
 from lpv.core.support.threads import one_thread
 
 
-def start(module: str, node: str, argv: Sequence[str] | None = None) -> None:
+def start(module: str, node: str) -> None:
     """Run a node, a class of a module, and leave with its exit code: 0 if told to stop."""
     stop = StopRequest()
     one_thread()
@@ -27,7 +26,7 @@ def start(module: str, node: str, argv: Sequence[str] | None = None) -> None:
         note.cancel()
         if stop.is_set:  # its exception was lost in an import
             sys.exit(0)
-        sys.exit(run_node(node_class, argv))
+        sys.exit(run_node(node_class))
     except KeyboardInterrupt:
         sys.exit(0)
     except SystemExit as leaving:

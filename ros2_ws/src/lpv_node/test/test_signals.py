@@ -61,16 +61,16 @@ def test_given_a_start_when_told_to_stop_then_it_ends_at_once_and_later_in_order
 
 START = """
 import signal, sys, types; signal.signal(signal.SIGHUP, signal.SIG_DFL)
-run = types.SimpleNamespace(run_node=lambda node, argv: node(argv))
+run = types.SimpleNamespace(run_node=lambda node: node())
 sys.modules['lpv_node.managed'] = run  # a node is a function here
 from lpv_node.start import start
 start(sys.argv[1], 'main')
 """
 TELL = 'import os, signal, time\ndef tell(): os.kill(os.getpid(), signal.{}); time.sleep(0.05)\n'
-SLOW = 'tell(); tell()\ndef main(argv): print("started")'
-SWALLOWS = 'try: tell()\nexcept BaseException: pass\ndef main(argv): print("started")'
-TOLD_AT_EXIT = 'import atexit\natexit.register(tell)\ndef main(argv): raise SystemExit(3)'
-FAILS = 'def main(argv): raise ValueError("what failed")'
+SLOW = 'tell(); tell()\ndef main(): print("started")'
+SWALLOWS = 'try: tell()\nexcept BaseException: pass\ndef main(): print("started")'
+TOLD_AT_EXIT = 'import atexit\natexit.register(tell)\ndef main(): raise SystemExit(3)'
+FAILS = 'def main(): raise ValueError("what failed")'
 
 
 @pytest.mark.parametrize('name', ['SIGINT', 'SIGTERM', 'SIGHUP'])

@@ -1,8 +1,7 @@
 """Entry point of ``ros2 run lpv_uio uio``."""
 
+from functools import partial
+
 from lpv_node.start import start
 
-
-def main(argv: list[str] | None = None) -> None:
-    """Start the node."""
-    start('lpv_uio.node', 'UioNode', argv)
+main = partial(start, 'lpv_uio.node', 'UioNode')

@@ -1,8 +1,7 @@
 """Entry point of ``ros2 run lpv_node view``."""
 
+from functools import partial
+
 from lpv_node.start import start
 
-
-def main(argv: list[str] | None = None) -> None:
-    """Start the node."""
-    start('lpv_node.view.node', 'ViewNode', argv)
+main = partial(start, 'lpv_node.view.node', 'ViewNode')
