@@ -53,13 +53,15 @@ WRONG_FACTORS = {
     'sample_time': [{'low': 0.001, 'high': 0.002}], 'command_delay': [1.5, 64.0],
     'compensation': ['sometimes'],
 }  # fmt: skip
+OF_BIAS = {'fault.kind': 'bias'}
 for _field, _values in WRONG_FACTORS.items():
     _name = '.'.join(_field.split('.')[: 2 if _field.startswith('fault') else 1])
-    WRONG[f'factors.{_field}'] = [{'factors': {_name: value}} for value in _values]
+    WRONG[f'factors.{_field}'] = [{'factors': {**OF_BIAS, _name: value}} for value in _values]
 OF_REAL_ARM = {'designs': ['gains.yaml'], 'arm': 'real_arm', 'scenario': 'real_arm'}
 MISFITS = [
     *((SMALL, field, change) for field, changes in WRONG.items() for change in changes),
-    (SMALL, 'factors.fault.sensor', {'factors': {'fault.sensor': 'elbow'}}),
+    (SMALL, 'factors.fault.sensor', {'factors': {**OF_BIAS, 'fault.sensor': 'elbow'}}),
+    (SMALL, 'factors.fault.onset', {'factors': {'noise': 1.0, 'fault.onset': 3.0}}),
     (SMALL, 'factors.design', {'factors': {'design': 'other'}}),
     (SMALL, 'path.waypoints[0].joints', {'scenario': 'ur10', 'factors': {}}),
     (SMALL, 'requirement', {'designs': ['nowhere']}),
@@ -75,7 +77,7 @@ MISFITS = [
     (UR10, 'path.waypoints', {'scenario': 'two_faults', 'factors': {}}),
     (UR10, 'factors.disturbance', {'factors': {'disturbance': 1.0}}),
     (UR10, 'factors.plant', {'factors': {'plant': 'lpv'}}),
-    (UR10, 'factors.fault.sensor', {'factors': {'fault.sensor': 'link1_angle'}}),
+    (UR10, 'factors.fault.sensor', {'factors': {**OF_BIAS, 'fault.sensor': 'link1_angle'}}),
 ]
 """A campaign, the field that the error names, and what is wrong or does not fit files or arm."""
 

@@ -372,8 +372,9 @@ def test_given_exponents_without_a_dot_when_read_then_numbers_are_numbers_and_na
     found, others = diagnosis_parameters(path)
     assert (found.smallest_step, others['max_gap']) == (1e-3, 0.5)
     factors = {'fault.size': yaml.safe_load('[1e-3, 0.1]'), 'fault.sensor': '1e5'}
+    factors['fault.kind'] = 'bias'
     found = parse_spec({**CAMPAIGN, 'factors': factors}).factors
-    assert [found[name].values for name in factors] == [(1e-3, 0.1), ('1e5',)]
+    assert [found[name].values for name in factors] == [(1e-3, 0.1), ('1e5',), ('bias',)]
     for text in ('e5', '1e', '1e5x', '0x1e5', '1e5.0', '1e-999x', '1_0e1', '\u0661e1'):
         with pytest.raises(ConfigError, match='must be a number, got'):
             Section({'a': text}, 'b').number('a')
@@ -401,11 +402,20 @@ def test_given_a_scenario_when_read_then_it_may_have_any_kind_of_fault_and_defau
         assert parse_scenario({**SCENARIO, 'faults': [fault]}).faults[0].kind == kind
 
 
+@pytest.mark.parametrize('name', ['noise', 'disturbance'])
+def test_given_a_factor_of_what_is_off_in_a_scenario_when_read_then_it_is_named(name):
+    plant = {f'{name}_factor': 2.0}
+    assert parse_scenario({**SCENARIO, 'plant': plant})
+    with pytest.raises(ConfigError, match=f'plant.{name}_factor: counts only with {name}: true'):
+        parse_scenario({**SCENARIO, 'plant': plant, name: False})
+
+
 @pytest.mark.parametrize(('fault', 'field'), [
     (('x', 'bias', 0.0, 0.0, 1.0), 'sensor'), (('a', 'melt', 0.0), 'kind'),
     (('a', 'bias', 0.0), 'size'), (('a', 'drift', 0.0, 0.0, 1.0), 'rate'),
     (('a', 'noise', 0.0, 0.0, -1.0), 'size'), (('a', 'scale', 0.0), 'size'),
-    (('a', 'spike', 0.0, 0.0, 1.0, -1.0), 'rate'), (('a', 'bias', math.nan, 0.0, 1.0), 'onset'),
+    (('a', 'spike', 0.0, 0.0, 1.0, -1.0), 'rate'), (('a', 'spike', 0.0, 0.0, 1.0), 'rate'),
+    (('a', 'bias', math.nan, 0.0, 1.0), 'onset'),
     (('a', 'bias', 0.0, 0.0, math.inf), 'size'), (('a', 'bias', 0.0, -1.0, 1.0), 'duration'),
 ])  # fmt: skip
 def test_given_a_fault_that_cannot_be_injected_when_added_then_its_field_is_named(fault, field):

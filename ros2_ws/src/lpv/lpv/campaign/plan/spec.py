@@ -162,6 +162,10 @@ def _factors(data: dict[str, Any], source: str) -> dict[str, Factor]:
             known = ', '.join([*DEFAULTS, *sorted(TUNING)])
             raise section.error(name, f'is not a factor; there are {known}')
         factors[name] = _factor(section, name, value)
+    # Without a kind the scenario's faults are injected, whatever the campaign says of others.
+    for name in () if 'fault.kind' in factors else factors:
+        if name.startswith('fault.'):
+            raise section.error(name, 'counts only with fault.kind, which is missing')
     return factors
 
 

@@ -22,8 +22,8 @@ GRACE = 1.0
 _LATE = 0.1
 """An alarm that begins so long after a spike, or after the end of a fault, is still of it [s]."""
 
-_NEEDED = {'drift': 'rate', 'stuck': '', 'dropout': ''}
-"""Field of `Fault` that must not be zero, by kind; of others ``size``."""
+_NEEDED = {'drift': ('rate',), 'spike': ('size', 'rate'), 'stuck': (), 'dropout': ()}
+"""Fields of `Fault` that must not be zero, by kind; of others ``size``."""
 
 _POSITIVE = {'noise': 'size', 'spike': 'rate'}
 """That which must not be negative."""
@@ -66,9 +66,9 @@ class Fault:
         positive = _POSITIVE.get(self.kind, '')
         if positive and getattr(self, positive) < 0.0:
             raise section.error(positive, 'must not be negative')
-        needed = _NEEDED.get(self.kind, 'size')
-        if needed and getattr(self, needed) == 0.0:
-            raise section.error(needed, f'must not be 0 for a {self.kind} fault')
+        for needed in _NEEDED.get(self.kind, ('size',)):
+            if getattr(self, needed) == 0.0:
+                raise section.error(needed, f'must not be 0 for a {self.kind} fault')
 
     @property
     def end(self) -> float:

@@ -66,6 +66,12 @@ class Scenario:
     disturbance: bool = entry('flag', default=True)
     disturbance_factor: float = _plant('disturbance_factor', 1.0, 0.0, 1e3)  # true over stated d
 
+    def check(self, section: Section) -> None:
+        """ConfigError for a factor of what is switched off."""
+        for name in ('noise', 'disturbance'):
+            if not getattr(self, name) and getattr(self, f'{name}_factor') not in (0.0, 1.0):
+                raise section.error(f'plant.{name}_factor', f'counts only with {name}: true')
+
     def path(self, arm: SerialArm) -> SerialPath:
         """The path for an arm; ConfigError or UnreachableError where the arm cannot do it."""
         return _path(arm, self.name, self.times, self.waypoints)
