@@ -7,6 +7,7 @@ import subprocess
 import sys
 import time
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -212,6 +213,8 @@ def init(tmp_path, call):
 def test_given_an_empty_folder_when_initialised_then_a_design_holds(tmp_path, init, call):
     arm, said = init('--name', 'bench')
     assert arm.name == 'bench' and 'lpv design --arm' in said
+    written = re.findall('--out (.*)', said)
+    assert len(written) == 3 and not any(Path(path).exists() for path in written)
     names = 'arm', 'requirement', 'gains', 'scenario'
     file, requirement, gains, scenario = (tmp_path / 'new' / f'{name}.yaml' for name in names)
     load_scenario(scenario).path(arm)

@@ -95,7 +95,8 @@ def _write(folder: Path, arm: SerialArm, source: str) -> int:
         print('held: ' + ', '.join(f'{joint} at {value:g}' for joint, value in arm.locked))
     print('next: a URDF knows no rotors and sensors; identify them from a recording of a motion')
     print(f'  lpv excite --arm {file} --out {folder / "motion"}')
-    print(f'  lpv identify recording_bag --arm {file} --out {file}')
+    print(f'  lpv identify recording_bag --arm {file} --out {folder / "identified.yaml"}')
+    print('or simulate it as it is')
     design = ''
     if arm.lpv is not None:
         design = f' --requirement {requirement}'
