@@ -326,7 +326,11 @@ def test_given_two_arms_in_one_graph_when_checked_then_each_is_not_blamed_for_th
 def test_given_efforts_of_0_when_the_arm_moves_then_none_are_measured(shot, paper_arm):
     moving = [(stamp, message(stamp, position=[0.01 * k, 1.5])) for k, stamp in enumerate(STAMPS)]
     finding = signals.check_efforts(signals.hear(JOINTS, moving, paper_arm), shot)
-    assert finding is not None and '50 of 50 messages carry no effort' in finding.text
+    assert finding is not None and finding.text.endswith('50 of 50 messages carry no effort')
+    for _, one in moving:
+        one.effort[1] = 2.0  # of the other joint
+    finding = signals.check_efforts(signals.hear(JOINTS, moving, paper_arm), shot)
+    assert finding.text.endswith(f'carry no effort of {paper_arm.joint_names[0]}')
 
 
 def test_given_files_when_the_command_runs_then_code_0_and_3_if_not(call, refused, monkeypatch):

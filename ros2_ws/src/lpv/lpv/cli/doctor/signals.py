@@ -1,7 +1,8 @@
 """Checks of the measurements that were heard: names, values, units, rates, stamps."""
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from itertools import compress
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -35,6 +36,7 @@ class Heard(NamedTuple):
     """Measurements of an arm on a topic, in the order of arrival; NaN where a message has none."""
 
     topic: str
+    names: Sequence[str]  # of the joints
     arrived: np.ndarray  # times of arrival, shape (n,) [ns]
     stamps: np.ndarray  # header stamps, likewise
     position: np.ndarray  # shape (n, joints) [rad]
@@ -64,7 +66,7 @@ def hear(topic: str, messages: list[tuple[int, Any]], arm: SerialArm | None) -> 
     position, velocity, effort = (
         np.reshape(np.array(column, float), (-1, len(names))) for column in columns[2:]
     )
-    return Heard(topic, arrived, stamps, position, velocity, effort, rejected, others)
+    return Heard(topic, names, arrived, stamps, position, velocity, effort, rejected, others)
 
 
 def check_measurements(shot: Any, arm: SerialArm | None) -> list[Finding]:
@@ -126,14 +128,16 @@ def check_use(seen: Heard) -> Finding | None:
 def check_efforts(seen: Heard, shot: Any) -> Finding | None:
     """Whether torques are measured where the observer takes them from."""
     sources = [values.get('torque_source') for values in shot.parameters.values()]
-    without, count = int((~np.isfinite(seen.effort)).any(axis=1).sum()), len(seen.stamps)
+    missing, count = ~np.isfinite(seen.effort), len(seen.stamps)
     moved, given = without_efforts(seen.position, seen.effort, seen.position[0], SMALL)
-    if not without and moved[-1] and not given[-1]:  # zeros in place of efforts
-        without = count
+    # Zeros in place of efforts: of joints in motion, or, where no others came, of all.
+    missing |= ~given[-1] & (moved[-1] | (moved[-1].any() and not given[-1].any()))
+    without = int(missing.any(axis=1).sum())
     if not without or ('command' in sources and 'effort' not in sources):
         return None
     remedy = 'let the driver publish joint torques in effort [N m], or start the observer with '
-    text = f'{seen.topic}: {without} of {count} messages carry no effort'
+    text, joints = f'{seen.topic}: {without} of {count} messages carry no effort', missing.any(0)
+    text += '' if joints.all() else ' of ' + ', '.join(compress(seen.names, joints))
     return error('efforts', text, f'{remedy}torque_source:=command')
 
 
