@@ -59,6 +59,10 @@ class SampleCounters:
     repeated: int = _count_of('measurements that the driver repeated while the arm moved')
 
 
+UNUSED = 'out_of_order', 'refused_stamps', 'not_finite', 'implausible', 'unread', 'repeated'
+"""Those that count measurements without use."""
+
+
 def count_texts(counters: SampleCounters) -> list[str]:
     """What was wrong with samples, and how often."""
     counted = ((getattr(counters, one.name), one.metadata['text']) for one in fields(counters))

@@ -7,6 +7,7 @@ not depend on how measurements are divided.
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import compress
 from typing import Any
 
@@ -14,7 +15,13 @@ import numpy as np
 
 from lpv.core.control.watchdog import LONGEST_UNUSABLE
 from lpv.core.monitoring import message_fields
-from lpv.core.monitoring.alarm_text import SampleCounters, other_unit, unusable_text
+from lpv.core.monitoring.alarm_text import (
+    UNUSED,
+    SampleCounters,
+    count_texts,
+    other_unit,
+    unusable_text,
+)
 from lpv.core.monitoring.answers import Answer, Answers, answer_type
 from lpv.core.monitoring.compensation import AnswerRows
 from lpv.core.monitoring.idle_efforts import IdleSignal
@@ -53,6 +60,8 @@ _REPORT_INTERVAL = NANOSECONDS
 """A diagnostics report is due after each such time of the data [ns], and at every alarm event."""
 _STALE_AFTER, _REPEATED_AFTER = round(STALE_AFTER * NANOSECONDS), round(PATIENCE * NANOSECONDS)
 """Time without use until it is reported, and until it is reported again [ns]."""
+_MANY = 0.1
+"""Share of measurements that cannot be used from which on it is said."""
 _WARM_UP = 0.3
 """Motion that makes every compiled function run that samples of no fault need [s]."""
 CONTACT = 'torques from outside: something pushes or holds the arm, or its load has changed'
@@ -71,6 +80,7 @@ _LOST = (
     'measurements are lost, or come too rarely; more than ten sample times passed {} times within '
     'a second'
 )
+_UNUSED = 'many measurements cannot be used; of {} within a second: {}'
 _UNITS = 'readings are in another unit, or of another arm; {}'
 _NO_EFFORT = f'no efforts: {_JUMPS_ALONE}'
 _SOME_EFFORTS = 'no efforts of {}: offsets and drifts show in those of other joints alone'
@@ -207,7 +217,10 @@ class SerialSensorMonitor:
         self._reading = np.zeros(self._joints)  # of that sample [rad]
         self._repeats = new_repeats(self._joints)
         self._older = 0  # measurements in a row that were older than the last one
-        self._gaps_before = self._gaps_reported = self.counters.gaps
+        self._gaps_before = self.counters.gaps
+        self._used = 0  # samples that were
+        self._before = NEVER, 0, 0, replace(self.counters)  # as of `_note_losses`, one time before
+        self._losses = ''
         self._alarms = AlarmConverter(self.arm)
         self._missing_since = np.full(self._joints, NEVER)  # readings, stamps [ns]
         self._is_missing = False
@@ -404,6 +417,7 @@ class SerialSensorMonitor:
         self._monitor.progress['next_report'] = NEVER
         if self._stamp == NEVER:
             return
+        self._before = (NEVER, *self._before[1:])
         self._stamp += shift
         self._monitor.doubt(shift, self._stamp)
 
@@ -543,7 +557,8 @@ class SerialSensorMonitor:
         return bool(stamp >= self._monitor.progress['next_report'])
 
     def _count_missing(self, answers: Answers, until: int) -> None:
-        """Count measurements without efforts of all joints, up to a row."""
+        """Count measurements that were used, and those without all efforts, up to a row."""
+        self._used += until - self._counted
         missing = np.isnan(answers.samples[self._counted : until, 2]).any(axis=1)
         self.counters.without_effort += int(missing.sum())
         self._counted = until
@@ -557,12 +572,32 @@ class SerialSensorMonitor:
                 self._count_missing(answers, first + 1)
                 self._report(answers, first)
 
+    def _note_losses(self, stamp: int) -> None:
+        """Note what was lost up to a stamp [ns], once a second has passed since the last time."""
+        since, used, balances, counted = self._before
+        if since != NEVER and stamp - since < _REPORT_INTERVAL:
+            return
+        self._before = stamp, self._used, self.decisions, replace(self.counters)
+        if since == NEVER:
+            return
+        new = {name: count - getattr(counted, name) for name, count in vars(self.counters).items()}
+        unused = SampleCounters(**{name: new[name] for name in UNUSED})
+        total = sum(vars(unused).values())
+        due = (stamp - since) / NANOSECONDS / self._monitor.plan.interval
+        self._losses = ''
+        if total > _MANY * (total + self._used - used):
+            texts = '; '.join(count_texts(unused))
+            self._losses = _UNUSED.format(total + self._used - used, texts)
+        # A gap takes decisions for two intervals more than it lasts.
+        if new['gaps'] and self.decisions - balances < 0.5 * due:
+            self._losses = _LOST.format(new['gaps'])
+
     def _report(self, answers: Answers, row: int) -> None:
         self._monitor.progress['next_report'] = int(answers.stamps[row]) + _REPORT_INTERVAL
+        self._note_losses(int(answers.stamps[row]))
         answer = answers.state[row], answers.fault[row] if answers.has_fault[row] else None
         answers.reports.append((row, self._status(*answer)))
         answers.warnings += [(row, text) for text in self._new_warnings(answer[0])]
-        self._gaps_reported = self.counters.gaps
 
     def stale_fault(self) -> np.record | None:
         """The last ``fault`` of an answer, if there is one, marked as such."""
@@ -605,7 +640,7 @@ class SerialSensorMonitor:
 
     def _remark(self, state: np.record) -> str:
         """What else is to be said of the diagnosis as a whole, with an answer's ``state``."""
-        monitor, gaps = self._monitor, self.counters.gaps
+        monitor = self._monitor
         position = state.compensated_position.tolist()
         if text := other_unit(self.arm, position, position):
             return _UNITS.format(text)
@@ -614,10 +649,10 @@ class SerialSensorMonitor:
             return _NO_EFFORT
         if not monitor.uses_balances:
             return _NO_WEIGHT
-        if not monitor.balances and gaps - self._gaps_before > LONGEST_STEP:
+        if not monitor.balances and self.counters.gaps - self._gaps_before > LONGEST_STEP:
             return _TOO_RARE
-        if gaps - self._gaps_reported > LONGEST_STEP:
-            return _LOST.format(gaps - self._gaps_reported)
+        if self._losses:
+            return self._losses
         if monitor.in_contact:
             return CONTACT
         if monitor.suspects:

@@ -70,12 +70,25 @@ def message(names=ARM.joint_names, **fields):
     # As of a bag that is played faster than a machine can follow.
     (lambda k: (k % 500 < 250) | (k % 13 < 2), ['measurements are lost']),
     (lambda k: k % 400 < 380, []),  # now and then, as of any network
+    (lambda k: k % 80 < 65, ['measurements are lost']),  # so often that decisions are few
 ])  # fmt: skip
 def test_given_rare_samples_or_bursts_with_losses_between_then_it_is_told(kept, said):
     stamps, samples, _ = recorded(duration=4.0)
     rows = kept(np.arange(len(stamps)))
     texts = [text for _, text in observe(stamps[rows], samples[rows])[1].warnings]
     assert len(texts) == len(said) and all(map(str.startswith, texts, said))
+
+
+def test_given_stamps_of_two_clocks_in_turn_then_it_is_told_once_how_many_are_not_used():
+    stamps, samples, _ = simulated(ARM, duration=4.0)
+    stamps[1::2] += HOUR
+    monitor, answers = observe(stamps, samples)
+    (told,) = (text for _, text in answers.warnings)
+    assert told.startswith('many measurements cannot be used; of 50') and 'fits no stream' in told
+    assert told in answers.reports[1][1][0]['message']
+    stamps, samples, _ = simulated(ARM, duration=4.0)
+    _, answers = observe(stamps + 10 * STEP * 500, samples, monitor)  # of one clock again
+    assert 'cannot be used' not in answers.reports[-1][1][0]['message']
 
 
 def test_given_readings_in_degrees_then_their_unit_is_asked_for():
