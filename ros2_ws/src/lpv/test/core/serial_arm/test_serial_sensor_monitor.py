@@ -1,6 +1,9 @@
 """A serial arm's diagnosis behind the interface that node and replay use; the gate for stamps."""
 
+import os
 import re
+import subprocess
+import sys
 from dataclasses import replace
 from functools import cache
 from types import SimpleNamespace
@@ -24,7 +27,7 @@ from lpv.core.serial_arm.diagnosis.drift_trial import compare_drifts
 from lpv.core.serial_arm.dynamics.model import SerialModel
 from lpv.core.serial_arm.rate_independence import SAMPLES
 from lpv.core.serial_arm.turns import Turns
-from lpv.core.support.jit import Entries
+from lpv.core.support.jit import COMPILED, Entries
 
 ARM = shoulder_arm()
 LARGE = Fault('encoder2', 'bias', 1.0, size=0.3)
@@ -564,3 +567,51 @@ def test_given_no_samples_when_warmed_up_then_what_only_faults_need_is_called(na
     monkeypatch.setattr(Entries, '__call__', noted)
     SerialSensorMonitor('/uio', load_arm(name)).warm_up_faults()
     assert {compare_drifts, rough_contacts, tip_jacobians} <= called
+
+
+WARMED = """
+import sys
+import numpy as np
+from lpv.core.support import jit
+
+made, compile_once = [], jit._compile_once
+
+def noted(dispatcher, kind):
+    compile_for = compile_once(dispatcher, kind)
+    def compile_noted(types):
+        if types not in dispatcher.overloads:
+            made.append(dispatcher.py_func.__name__)
+        return compile_for(types)
+    return compile_noted
+
+jit._compile_once = noted
+from serial_arms import shoulder_arm
+from lpv.core.monitoring.serial_monitor import SerialSensorMonitor
+
+arm, found = shoulder_arm(sys.argv[1]), np.load(sys.argv[2])
+monitor = SerialSensorMonitor('/uio', arm)
+monitor.warm_up()
+monitor.warm_up_faults()
+configured = len(made)
+for stamps, samples in zip(found['stamps'], found['samples']):
+    SerialSensorMonitor('/uio', arm).take_many(stamps, *np.moveaxis(samples, 1, 0))
+print(configured > 10, made[configured:])
+"""
+"""Prints whether functions were loaded or compiled for a configured node, and which were later."""
+
+
+@pytest.mark.skipif(not COMPILED, reason='without Numba nothing is compiled')
+@pytest.mark.slow
+@pytest.mark.parametrize('rates', ['derived', 'independent'])
+def test_given_a_configured_monitor_when_sensors_fail_then_nothing_is_compiled(rates, tmp_path):
+    faults = [
+        Fault('encoder2', 'drift', 1.0, rate=0.3), Fault('encoder2', 'stuck', 1.0),
+        Fault('encoder3', 'noise', 1.0, size=0.02), Fault('encoder1', 'bias', 1.0, 1.0, 0.3),
+    ]  # fmt: skip
+    runs = [simulated(shoulder_arm(rates), fault, duration=4.0) for fault in faults]
+    file = tmp_path / 'runs.npz'
+    np.savez(file, stamps=[r.stamps + 1 for r in runs], samples=[r.samples for r in runs])
+    command = [sys.executable, '-c', WARMED, rates, str(file)]
+    environment = {**os.environ, 'PYTHONPATH': os.pathsep.join(filter(None, sys.path))}
+    said = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
+    assert said.stdout == 'True []\n'

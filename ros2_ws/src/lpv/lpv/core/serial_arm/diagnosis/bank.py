@@ -542,6 +542,9 @@ class Bank:
         joints = np.arange(estimator.joints)
         found = sudden_drifts(estimator, joints, last, blocks)
         self.excludes_contact(Hypothesis('drift', 0, 0.0, 0.0, 1.0, found[0].begin), 0.0)
+        self._beside_rates(lambda _: blocks, 1)
+        begin = block_end(blocks[-1]) - 2.0 * estimator.plan.interval
+        course_of_frozen(estimator, 0, Frozen(begin, 1.0, 1.0, True), 0, blocks)
 
     def offset_against_contact(self, joint: int) -> float:
         """Log odds of an offset of one encoder, were it certain, to torques over the horizon.

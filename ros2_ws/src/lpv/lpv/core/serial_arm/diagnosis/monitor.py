@@ -345,6 +345,7 @@ class SerialMonitor:
             self.estimator.linearise(blocks)
             self.bank.offset_against_contact(0)
             self.bank.warm_up(blocks)
+            self.readings.noise(0)
 
     def _report_samples(self, now: float) -> None:
         """Events of what was found at a sample."""
