@@ -68,8 +68,12 @@ def diagnosis_parameters(path: str | None) -> tuple[parameters.DiagnosisParamete
     """Tuning in a parameter file of the node; its ``max_gap``, ``initial_samples`` if given."""
     if not path:
         return parameters.DiagnosisParameters(), {}
-    values = Section(read_yaml(path), path).section('/**').section('ros__parameters')
-    tuning = values.plain('diagnosis')
+    nodes = Section(read_yaml(path), path).section('/**')
+    values = nodes.section('ros__parameters')
+    tuning, prefix = values.plain('diagnosis'), 'diagnosis.'
+    for name, value in nodes.plain('ros__parameters').items():  # which ROS takes, too
+        if name.startswith(prefix):
+            tuning[name.removeprefix(prefix)] = value
     parameters.check_names(tuning, path)
     section, given = Section(tuning, path, 'diagnosis'), parameters.given_values
     diagnosis = parameters.DiagnosisParameters(**given(section, parameters.DIAGNOSIS))

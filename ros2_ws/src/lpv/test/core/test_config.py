@@ -357,6 +357,17 @@ def test_given_large_values_or_files_then_they_are_kept_or_not(tmp_path, monkeyp
             read(Path('/dev/zero'))
 
 
+def test_given_names_with_dots_in_a_parameter_file_when_read_then_they_count_as_for_ros(tmp_path):
+    path, line = tmp_path / 'a.yaml', '/**: {{ros__parameters: {{diagnosis.{}}}}}'
+    path.write_text(line.format('sigmas: 5.0, diagnosis: {latch: true}'))
+    found, _ = diagnosis_parameters(path)
+    assert (found.sigmas, found.latch) == (5.0, True)
+    for wrong in ('sigma: 5.0', 'sigmas: 300.0'):
+        path.write_text(line.format(wrong))
+        with pytest.raises(ConfigError, match=r'diagnosis\.sigma'):
+            diagnosis_parameters(path)
+
+
 def test_given_exponents_without_a_dot_when_read_then_numbers_are_numbers_and_names_names(tmp_path):
     path, name = tmp_path / 'a.yaml', {'name': '1e5', 'sensors': {'name': '1e-5'}}
     first, second = ARM['joints']
