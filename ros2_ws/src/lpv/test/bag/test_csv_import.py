@@ -116,6 +116,7 @@ DAMAGED = [
     # In the middle, also of a file whose last line may be cut off.
     *((HEADER + '0,1,2,3\n' + lines, r'run\.csv: line 2 has too few cells')
       for lines in (LINES, LINES.rstrip())),
+    (HEADER + LINES.replace('.', ','), r'line 2 has more cells than the header: decimal commas'),
     *((with_cell(k, t), rf"line 5, column '{NAMES[k]}': '{t}'") for k, t in NO_NUMBERS),
     *((with_cell(0, text), "line 5, column 't'") for text in NO_TIMES),
     *((content, r'run\.csv') for content in NOTHING),
@@ -179,6 +180,8 @@ def test_given_a_map_when_loaded_then_the_shipped_one_fits_and_mistakes_are_name
         ('time:', 'angle_unit: turns\ntime:', 'angle_unit'),
         ('time:', 'speed: 3\ntime:', 'speed'),
         ('joints:', 'joints: {}\nother:', 'joints'),
+        ('position: q2', 'position: q1', 'joints'),
+        ('velocity: w2', 'velocity: t', 'joints'),
     ):
         mapping.write_text(COLUMNS.replace(old, new, 1))
         with pytest.raises(ConfigError, match=rf'columns\.yaml: {field}: '):

@@ -59,6 +59,9 @@ def load_column_map(path: str | Path) -> ColumnMap:
         raise top.error('joints', 'must name at least one joint')
     unit = time.text('unit', 's', tuple(TIME_UNITS))
     result = ColumnMap(time.text('column'), unit, start, joints, units)
+    for name in result.columns:
+        if result.columns.count(name) > 1:
+            raise top.error('joints', f'use column {name!r} twice')
     time.finish()
     top.finish()
     return result
@@ -114,6 +117,8 @@ def read_samples(
             try:
                 if len(cells) < len(header):
                     raise CsvError(f'{line} has too few cells')
+                if ''.join(cells[len(header) :]).strip():
+                    raise CsvError(f'{line} has more cells than the header: decimal commas?')
                 values = [
                     [_number(row, n, line, float, s) for n, s in zip(names, scale)]
                     if any(names)
