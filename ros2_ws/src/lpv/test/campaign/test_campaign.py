@@ -249,6 +249,13 @@ def test_given_two_faults_when_an_alarm_comes_before_its_own_then_that_was_not_f
     assert row['detection_delay'] == pytest.approx(delay or np.nan, nan_ok=True)
 
 
+def test_given_a_fault_after_the_end_of_a_run_when_measured_then_there_was_none_to_find():
+    late = Fault('a', 'bias', 8.0, size=0.1)
+    row = figures_of([late])
+    assert (row['kind'], row['sensor'], row['healthy_time']) == ('none', 'none', row['observed'])
+    assert figures_of([Fault('b', 'bias', 1.0, size=0.1), late], (1, 1.0, 1.1))['isolated']
+
+
 @pytest.mark.parametrize(('onset', 'at', 'found', 'false'), [
     (1.1, 1.3, True, 0), (1.3, 1.3, False, 0), (1.3, 2.5, False, 1), (2.0, 2.0, False, 1),
 ])  # fmt: skip

@@ -21,18 +21,19 @@ _EARLY = 0.1
 
 def figures(arm: SerialArm, scenario: Any, run: Any, twin: Any = None) -> dict[str, Any]:
     """Figures of a run and its healthy twin, see docs/scenario-file.md; NaN: none to measure."""
-    scheduled = scenario.faults
+    names, period = arm.sensor_names, arm.sample_time
+    observed = len(run.time) * period
+    scheduled = [f for f in scenario.faults if f.onset < observed]  # others were not injected
     begin = min((f.onset for f in scheduled), default=math.inf)  # of the first one to the last end
     end = max((f.end for f in scheduled), default=math.inf)
     before, during = run.time < begin, (run.time >= begin) & (run.time < end)
-    names, period = arm.sensor_names, arm.sample_time
     sizes = {abs(f.rate if f.kind == 'drift' else f.size) for f in scheduled}
     result = {
         'seed': scenario.seed,
         'kind': scheduled[0].kind if scheduled else NO_FAULT,
         'sensor': _named({f.sensor for f in scheduled}, names),
         'fault_size': sizes.pop() or math.nan if len(sizes) == 1 else math.nan,
-        'observed': len(run.time) * period,
+        'observed': observed,
         'early_time': float(before.sum() * period),
         'healthy_time': float((~during).sum() * period),
     }
