@@ -362,7 +362,10 @@ def test_given_few_samples_or_no_motion_then_it_is_said(arm, recording, motion, 
     for use, bad, reason in (
         (identify, recording.rows(slice(300)), 'too short'),
         (identify, still, 'no joint moves'),
-        (identify, partly, 'efforts of two never change'),
+        *(
+            (use, partly, 'efforts of two never change')
+            for use in (identify, calibrate, payload.identify_payload, find_mistakes)
+        ),
         (calibrate, frozen, 'readings of two never change'),
     ):
         with pytest.raises(IdentificationError, match=reason):

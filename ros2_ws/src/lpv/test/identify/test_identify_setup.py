@@ -253,6 +253,7 @@ def test_given_what_does_not_fit_when_identified_then_it_is_said_before_the_fit(
     assert 'it has time;q1;tau1; give a column map' in refusal(run)
     missing = tmp_path / 'nothing.csv'
     assert 'File exists' in refusal(missing, '--out', tmp_path / 'arm.yaml' / 'a')
+    assert 'not a folder' in refusal(missing, '--out', tmp_path)
     refusal(missing, '--out', new / 'a.yaml')
     assert new.is_dir()
 

@@ -39,6 +39,8 @@ def run(arguments: argparse.Namespace) -> int:
     if not arguments.payload:
         refuse(arguments, ['known_mass'], 'is that of a tool: give --payload')
     if arguments.out:  # what fails is said before minutes of fitting
+        if Path(arguments.out).is_dir():
+            raise ConfigError('--out', 'must be a file, not a folder', arguments.out)
         Path(arguments.out).parent.mkdir(parents=True, exist_ok=True)
     files = [*arguments.recordings, *arguments.test]
     console.print(f'reading {len(files)} recording{"s" if len(files) > 1 else ""}: {files[0]} ...')

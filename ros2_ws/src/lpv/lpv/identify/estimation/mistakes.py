@@ -21,7 +21,7 @@ from lpv.identify.model.friction import SLOPE, friction_columns, join_columns, l
 from lpv.identify.model.prior import Prior, base_prior
 from lpv.identify.model.rigid_body import RigidBody, find_base_parameters
 from lpv.identify.recordings.filters import derivative, low_pass, shifted
-from lpv.identify.recordings.motion import Segment, find_bandwidths, moving, split
+from lpv.identify.recordings.motion import Segment, check_efforts, find_bandwidths, moving, split
 from lpv.identify.recordings.recording import Recording
 
 _SURE = 10.0  # logarithm of a Bayes factor from which a mistake is named, against none or others
@@ -89,7 +89,9 @@ def find_mistakes(arm: SerialArm, recordings: Sequence[Recording]) -> list[Mista
     if text := other_unit(arm, *np.nanquantile(positions, ALMOST_ALL, axis=0)):
         return [Mistake('angle', text, np.inf)]  # all else would follow from it
     parts = [split(one) for one in recordings]
-    slow = _slow(arm, [segment for part in parts for segment in part])
+    segments = [segment for part in parts for segment in part]
+    check_efforts(segments, arm.joint_names)
+    slow = _slow(arm, segments)
     sources = [one.source for one, part in zip(recordings, parts) for _ in part]
     judge = _Judge(arm, slow, np.repeat(sources, [len(s.time) for s in slow]))
     gravity = arm.gravity_vector() if arm.effort_includes_gravity else np.zeros(3)

@@ -13,7 +13,7 @@ from lpv.identify.estimation.robust import invert_normal, normal_matrix, robust_
 from lpv.identify.estimation.torque_error import model_residual
 from lpv.identify.model.rigid_body import RigidBody
 from lpv.identify.recordings.filters import derivative, low_pass
-from lpv.identify.recordings.motion import Segment, find_bandwidths, split
+from lpv.identify.recordings.motion import Segment, check_efforts, find_bandwidths, split
 from lpv.identify.recordings.recording import Recording
 
 _HUBER = 2.0  # scales beyond which residuals weigh less
@@ -34,7 +34,9 @@ class Payload:
 
 def identify_payload(arm: SerialArm, recordings: Sequence[Recording]) -> Payload:
     """Mass and centre of a tool, a point mass on the last link; IdentificationError."""
-    parts = [_balance(arm, segment) for one in recordings for segment in split(one)]
+    segments = [segment for one in recordings for segment in split(one)]
+    check_efforts(segments, arm.joint_names)
+    parts = [_balance(arm, segment) for segment in segments]
     design, rest = (np.concatenate(part) for part in zip(*parts))
     scale = np.maximum(np.median(np.abs(rest - np.median(rest, axis=0)), axis=0), 1e-6)
     linear, turning = np.delete(design, np.s_[4:N_INERTIAL], axis=2), 0.0 * rest

@@ -16,7 +16,15 @@ from lpv.identify.estimation.autocorrelation import autocovariance
 from lpv.identify.estimation.health import unhealthy
 from lpv.identify.model.rigid_body import joint_torques
 from lpv.identify.recordings.filters import derivative, low_pass
-from lpv.identify.recordings.motion import Motion, Segment, find_bandwidths, moving, smooth, split
+from lpv.identify.recordings.motion import (
+    Motion,
+    Segment,
+    check_efforts,
+    find_bandwidths,
+    moving,
+    smooth,
+    split,
+)
 from lpv.identify.recordings.recording import Recording
 from lpv.identify.sensors import Sensing, noise_deviation, sense
 
@@ -133,6 +141,7 @@ def model_residual(arm: SerialArm, segment: Segment) -> tuple[Motion, np.ndarray
 def calibrate(arm: SerialArm, recordings: Sequence[Recording]) -> Calibration:
     """Sensors and errors of a given model from some 10 s of healthy motion."""
     segments = [segment for one in recordings for segment in split(one)]
+    check_efforts(segments, arm.joint_names)
     spans = np.ptp(np.concatenate([one.position for one in recordings]), axis=0)
     if frozen := [name for name, span in zip(arm.joint_names, spans) if not span]:
         raise IdentificationError(

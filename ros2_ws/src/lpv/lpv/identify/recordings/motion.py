@@ -1,5 +1,6 @@
 """From samples to motion on a uniform grid: segments, bandwidths, smoothing."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -106,8 +107,8 @@ def _resample(recording: Recording, part: np.ndarray, step: float) -> Segment:
     return Segment(step, grid, position, velocity, put(recording.effort))
 
 
-def check_motion(segments: list[Segment], names: tuple[str, ...]) -> list[str]:
-    """Remarks on joints that hardly move; IdentificationError if none does, or without efforts."""
+def check_efforts(segments: Sequence[Segment], names: tuple[str, ...]) -> None:
+    """IdentificationError for joints without efforts, in which all else would look wrong."""
     effort = np.concatenate([s.effort for s in segments])
     constant = [name for name, span in zip(names, np.ptp(effort, axis=0)) if not span]
     if constant:
@@ -115,6 +116,11 @@ def check_motion(segments: list[Segment], names: tuple[str, ...]) -> list[str]:
             f'efforts of {", ".join(constant)} never change, as without a sensor; torques or '
             'currents of all motors must be recorded'
         )
+
+
+def check_motion(segments: list[Segment], names: tuple[str, ...]) -> list[str]:
+    """Remarks on joints that hardly move; IdentificationError if none does, or without efforts."""
+    check_efforts(segments, names)
     travel = np.max([np.ptp(s.position, axis=0) for s in segments], axis=0)
     still = [name for name, way in zip(names, travel) if way < SMALL]
     if len(still) == len(names):

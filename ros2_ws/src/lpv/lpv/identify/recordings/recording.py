@@ -126,7 +126,8 @@ def clean(
     measured = effort[_usable(effort)]
     if not (len(measured) and np.ptp(measured, axis=0).any()):  # as of mock hardware
         raise IdentificationError(
-            f'{source}: has no efforts; torques or currents of the motors must be recorded, too'
+            f'{source}: has no efforts of all joints; torques or currents of the motors must be '
+            'recorded, too'
         )
     recorded = (position, effort) if velocity is None else (position, effort, velocity)
     valid = np.all([_usable(values) for values in recorded], axis=0)
