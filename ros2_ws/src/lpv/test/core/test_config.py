@@ -368,6 +368,15 @@ def test_given_names_with_dots_in_a_parameter_file_when_read_then_they_count_as_
             diagnosis_parameters(path)
 
 
+def test_given_a_folder_of_that_name_when_a_file_is_written_then_it_is_said_and_nothing_is_left(
+    tmp_path, paper_gains
+):
+    (tmp_path / 'gains.yaml').mkdir()
+    with pytest.raises(ConfigError, match='gains.yaml: file: cannot be written, there is a folder'):
+        paper_gains.save(tmp_path / 'gains.yaml')
+    assert [path.name for path in tmp_path.iterdir()] == ['gains.yaml']
+
+
 def test_given_exponents_without_a_dot_when_read_then_numbers_are_numbers_and_names_names(tmp_path):
     path, name = tmp_path / 'a.yaml', {'name': '1e5', 'sensors': {'name': '1e-5'}}
     first, second = ARM['joints']

@@ -111,6 +111,8 @@ def write_whole(path: str | Path, content: str | bytes, sync: bool = False) -> N
     """
     path = Path(path)
     part = path.with_name(path.name + '.part')
+    if path.is_dir():  # else the part would stay beside it
+        raise ConfigError('file', 'cannot be written, there is a folder', str(path))
     with open(part, 'wb') as file:
         file.write(content.encode() if isinstance(content, str) else content)
         if sync:
