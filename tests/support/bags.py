@@ -5,7 +5,7 @@ from bag_messages import CHATTER, JOINT_STATE, JOINTS, START, STEP, TOPICS, TYPE
 from mcap.writer import CompressionType
 from mcap.writer import Writer as McapWriter
 from rosbags.highlevel import AnyReader
-from rosbags.rosbag2 import StoragePlugin
+from rosbags.rosbag2 import CompressionFormat, StoragePlugin
 from rosbags.rosbag2 import Writer as RosbagsWriter
 
 from lpv.bag.rosbag.messages import BagMessages
@@ -70,9 +70,12 @@ def write_by_mcap(path, content, chunk_size=4000, **options):
     return path
 
 
-def write_by_rosbags(path, entries, plugin=StoragePlugin.SQLITE3):
+def write_by_rosbags(path, entries, plugin=StoragePlugin.SQLITE3, compression=None):
     """A bag of measurements: topic, time and bytes of each."""
-    with RosbagsWriter(path, version=9, storage_plugin=plugin) as writer:
+    writer = RosbagsWriter(path, version=9, storage_plugin=plugin)
+    if compression is not None:
+        writer.set_compression(compression, CompressionFormat.ZSTD)
+    with writer:
         known = {}
         for topic, time, data in entries:
             if topic not in known:

@@ -12,9 +12,10 @@ import numpy as np
 import pytest
 import yaml
 from bag_messages import CHATTER, JOINT_STATE, JOINTS, START, STEP, STRING, TYPESTORE, cdr, text
-from bags import KINDS, TOPICS, contents, storage, write_by_mcap, write_small
+from bags import KINDS, TOPICS, contents, storage, write_by_mcap, write_by_rosbags, write_small
 from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
+from rosbags.rosbag2 import CompressionMode, StoragePlugin
 
 from lpv import Alarm, ConfigError
 from lpv.bag.blocks import cdr_layout, message_blocks
@@ -204,6 +205,19 @@ def test_given_any_file_when_read_then_it_is_as_by_rosbags(tmp_path, monkeypatch
     assert by_blocks(path, (CHATTER,)) == by_rosbags(path, (CHATTER,))
     for limits in ({}, {'start': 11_000}, {'stop': 12_345}, {'start': 11_111, 'stop': 13_000}):
         assert by_blocks(path, **limits) == by_rosbags(path, **limits)
+
+
+@pytest.mark.parametrize('plugin', StoragePlugin)
+@pytest.mark.parametrize('mode', [CompressionMode.FILE, CompressionMode.MESSAGE])
+def test_given_a_bag_that_rosbag2_compressed_then_it_is_read_or_its_folder_asked_for(
+    tmp_path, mode, plugin
+):
+    content = [(JOINTS, START + k * STEP, bytes([0, 1, 0, 0, k])) for k in range(9)]
+    bag = write_by_rosbags(tmp_path / 'bag', content, plugin, mode)
+    assert contents(bag) == (content, [])
+    (file,) = set(bag.iterdir()) - {bag / 'metadata.yaml'}
+    with pytest.raises(BagError, match='is compressed by rosbag2: give the folder'):
+        contents(file)
 
 
 @pytest.mark.parametrize('disorder', [15, 400, 1_000_000])

@@ -233,6 +233,16 @@ def open_bag(path: str | Path) -> Iterator[BagReader]:
         yield reader
 
 
+def _is_compressed(file: Path) -> bool:
+    """Whether a file is one of a bag that rosbag2 itself compressed, as a file or by message."""
+    with contextlib.suppress(DamageError):
+        known = read_metadata(file.parent)
+        return known.compressed and file.name.removesuffix('.zstd') in {
+            name.removesuffix('.zstd') for name in known.files
+        }
+    return False
+
+
 def _opened(path: Path, stack: ExitStack) -> BagReader:
     metadata, damages = None, list[str]()
     try:
@@ -241,6 +251,8 @@ def _opened(path: Path, stack: ExitStack) -> BagReader:
             damages.append(f'it has no {FILE_NAME}, its recording was not finished')
     except DamageError as error:
         damages.append(str(error))
+    if path.is_file() and _is_compressed(path):
+        raise BagError(f'{path}: is compressed by rosbag2: give the folder that it is in')
     if path.is_file() and path.suffix not in ('.mcap', '.db3'):
         raise BagError(f'{path}: is not a bag: a rosbag2 folder, or an .mcap or .db3 file')
     paths = _numbered(path, '.db3') if path.is_dir() else [path] * (path.suffix == '.db3')
