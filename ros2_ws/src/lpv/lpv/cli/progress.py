@@ -50,7 +50,7 @@ def bar(
     _bars += 1
     said = time.monotonic()
     columns = [
-        rich.TextColumn('{task.description}'), rich.BarColumn(),
+        rich.TextColumn('{task.description}', markup=False), rich.BarColumn(),
         rich.TextColumn('{task.fields[count]}'), rich.TimeElapsedColumn(),
         rich.TextColumn('left'), rich.TimeRemainingColumn(), rich.TextColumn('{task.fields[note]}'),
     ]  # fmt: skip

@@ -9,6 +9,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.text import Text
 
 matplotlib.use('Agg')
 
@@ -90,6 +91,9 @@ def picture(draw: Callable[..., Figure | None], *subject: Any) -> bytes:
     with plt.rc_context(SETTINGS):
         figure = draw(*subject)
         if figure is not None:
+            for text in figure.findobj(Text):
+                if 'mathdefault' not in text.get_text():  # of logarithmic axes
+                    text.set_parse_math(not text.get_text())  # names are no formulas
             figure.savefig(buffer, format='png', dpi=160)
             plt.close(figure)
     return buffer.getvalue()

@@ -114,7 +114,7 @@ def print_table(rows: list[Row], console: Console | None = None) -> None:
             times = f'{ratio:.0f} x' if ratio >= 10.0 else f'{ratio:.1f} x'
             cells += [f'{row.paper:g}', times if ratio else '-']
     is_error = any(row.is_error for row in rows)
-    print_grid(console or Console(), heads, lines, title if is_error else '')
+    print_grid(console or Console(markup=False), heads, lines, title if is_error else '')
 
 
 def print_grid(

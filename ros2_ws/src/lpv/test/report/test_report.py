@@ -26,6 +26,7 @@ from lpv import Fault, load_arm, save_gains
 from lpv.bag.replay.replay import Replay
 from lpv.bag.run.record import load_run, node_reports
 from lpv.core.monitoring.serial_monitor import SerialSensorMonitor
+from lpv.core.serial_arm.arm_file import save_arm
 from lpv.report.certificate import beside_bag, examine
 from lpv.report.figures import draw_region
 from lpv.report.history import load
@@ -39,6 +40,7 @@ ARM_FILE = str(BRINGUP / 'arms' / 'paper.yaml')
 SCENARIO = str(BRINGUP / 'scenarios' / 'two_faults.yaml')
 PAPER = {'x1': 0.006, 'x2': 0.002, 'x3': 0.024, 'x4': 0.047, 'f1': 0.006, 'f2': 0.002,
          'y1': 0.034, 'y2': 0.053, 'e_t1': 0.003, 'e_t2': 0.007}  # fmt: skip
+LARGE = Fault('encoder2', 'bias', 0.6, size=0.05)
 FORGED = 'gains file: numbers are those of the design'
 """The check that the checksum of a changed file fails."""
 
@@ -320,8 +322,7 @@ def test_given_gains_when_examined_or_drawn_then_all_is_there(paper_model, paper
 
 
 def test_given_a_run_of_three_joints_when_reported_then_its_alarm_is_listed(tmp_path, monkeypatch):
-    run = crane_run(faults=[Fault('encoder2', 'bias', 0.6, size=0.05)])
-    measured = record_crane(tmp_path / 'measured', run)
+    measured = record_crane(tmp_path / 'measured', crane_run(faults=[LARGE]))
     Replay(SerialSensorMonitor('/uio', crane())).run(measured, tmp_path / 'bag')
     monkeypatch.setattr(Figure, 'savefig', lambda _, file, **options: file.write(b'drawn'))
     written = write_report(load(tmp_path / 'bag', crane()), tmp_path / 'report')
@@ -331,6 +332,21 @@ def test_given_a_run_of_three_joints_when_reported_then_its_alarm_is_listed(tmp_
                  'joint1, joint2, joint3', 'the bag carries no gains, and none'):  # fmt: skip
         assert said in text(page)
     assert 'Mean squared errors (MISE, eq. (70))' not in text(page)
+
+
+def test_given_names_that_look_like_markup_when_replayed_then_they_are_said_as_they_are(
+    tmp_path, call
+):
+    name = 'a[/b] [red]$x_{1$'
+    joints = [
+        replace(j, sensors=replace(j.sensors, name=f'{name}{j.name}')) for j in crane().joints
+    ]
+    save_arm(replace(crane(), joints=tuple(joints)), tmp_path / 'arm.yaml')
+    measured = record_crane(tmp_path / name[-5:], crane_run(faults=[LARGE]))
+    files = ['--arm', tmp_path / 'arm.yaml', '--out', tmp_path / '[out]']
+    said = call('replay', measured, *files, '--report', tmp_path / 'report').out
+    assert f'ALARM, {name}joint2: ' in said and f'{tmp_path}/[out]\n' in said
+    assert f'{name}joint2' in text((tmp_path / 'report' / 'report.html').read_text())
 
 
 def test_given_a_browser_when_the_report_is_printed_then_all_is_there_in_black_on_white(

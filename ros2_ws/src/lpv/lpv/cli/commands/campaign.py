@@ -16,7 +16,7 @@ from lpv.report.table import print_grid
 
 def run(arguments: argparse.Namespace) -> int:
     """Run what is missing, and put the results together."""
-    console = Console(soft_wrap=True, highlight=False)
+    console = Console(soft_wrap=True, highlight=False, markup=False)
     is_folder = Path(arguments.campaign).is_dir()
     campaign, folder = _open(arguments)
     if arguments.run is not None or arguments.bag is not None:

@@ -26,7 +26,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.json:
         print(text)
     else:
-        show(result, Console(soft_wrap=True, highlight=False))
+        show(result, Console(soft_wrap=True, highlight=False, markup=False))
     if arguments.out:
         out = Path(arguments.out)
         if out.exists() and not out.is_dir():

@@ -37,7 +37,7 @@ _SILENCE = 900.0
 def run(arguments: argparse.Namespace) -> int:
     """Design, run the graph, report; 1 if a node failed or the design is infeasible."""
     require_ros()
-    console = Console(soft_wrap=True, highlight=False)
+    console = Console(soft_wrap=True, highlight=False, markup=False)
     # Files first, and what needs time only when they are right.
     arm, files = arguments.arm, {'arm': arguments.arm_file}
     is_designed = arm.lpv is not None
@@ -109,7 +109,7 @@ def _designed(arm: SerialArm, requirement: str, out: Path, console: Console) -> 
     try:
         result = design(arm, load_requirement(requirement))
     except InfeasibleError as error:
-        console.print(f'[red]lpv demo: {error}')
+        console.print(f'lpv demo: {error}', style='red')
         return None
     result.gains.save(file, '\n'.join([key, *result.lines]))
     _show_design(result.lines, console)

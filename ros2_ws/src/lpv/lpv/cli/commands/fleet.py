@@ -14,7 +14,7 @@ from lpv.core.support.errors import ConfigError
 
 def run(arguments: argparse.Namespace) -> int:
     """Replay what is left, show and write the statistics; 3 if a bag could not be read."""
-    console, root = Console(soft_wrap=True, highlight=False), Path(arguments.archive)
+    console, root = Console(soft_wrap=True, highlight=False, markup=False), Path(arguments.archive)
     out = arguments.out or Path('out') / 'fleet' / (root.resolve().name or 'root')
     folder = ResultsFolder(out, 'bags')
     chunks = find_bags(root, [folder.path])

@@ -32,7 +32,7 @@ _LARGEST_GAIN = 1e6
 
 def run(arguments: argparse.Namespace) -> int:
     """Identify, show, write."""
-    console = Console(stderr=True)
+    console = Console(stderr=True, markup=False)
     if arguments.payload or arguments.calibrate:
         reason = 'has no effect on --calibrate and --payload: parameters are not fitted'
         refuse(arguments, ('report', 'test', 'refit'), reason)

@@ -34,7 +34,7 @@ _PLAYED = ('topics', 'rate', 'loop', 'clock_rate', 'wait')
 
 def run(arguments: argparse.Namespace) -> int:
     """Replay, report, show what was found; 1 if the design is infeasible."""
-    console = Console(soft_wrap=True, highlight=False)
+    console = Console(soft_wrap=True, highlight=False, markup=False)
     if arguments.publish:
         reason = 'has no effect on --publish, which plays the bag as it is'
         refuse(arguments, ('inject', 'report', 'topic', 'effort_topic'), reason)

@@ -32,5 +32,5 @@ def run(arguments: argparse.Namespace) -> int:
     else:
         said = 'holds' if proof.holds else f'does NOT hold: {"; ".join(proof.failed)}'
         said = f'{source}: the certificate {said}'
-    Console(soft_wrap=True, highlight=False).print(f'gains   {said}\nreport  {page}')
+    Console(soft_wrap=True, highlight=False, markup=False).print(f'gains   {said}\nreport  {page}')
     return 0

@@ -190,7 +190,7 @@ def run(arguments: argparse.Namespace) -> int:
     if not arguments.search:
         raise ConfigError('--search', 'is needed: FIELD=LOW:HIGH')
     optuna.logging.set_verbosity(optuna.logging.WARNING)
-    console = Console(soft_wrap=True, highlight=False)
+    console = Console(soft_wrap=True, highlight=False, markup=False)
     with worker_pool(arguments.workers, arguments.scheduler) as execute:
         bench = _Bench(arguments, execute)
         folder = Path(arguments.out or Path('out') / 'tune' / bench.name)
