@@ -13,6 +13,7 @@ from fault_injection import (
     draw,
     inject,
     outside_bounds,
+    run,
     simulate,
     with_joints,
 )
@@ -82,6 +83,21 @@ def test_given_a_fault_when_it_ends_then_bounds_hold_its_jump(arm, joint, fault,
     run = Run(arm, 'derived', fault, joint, duration)
     assert run.after == 0.0
     assert {sensor for _, sensor, _ in run.events} <= {run.name}
+
+
+@pytest.mark.parametrize(('arm', 'joint', 'rate'), [
+    ('chain3', 2, -0.3), ('swinging', 1, -0.1), ('coarse', 1, 0.1), ('coarse', 1, 0.3),
+])  # fmt: skip
+def test_given_a_drift_that_nobody_has_named_yet_then_bounds_hold_it(arm, joint, rate):
+    run = Run(arm, 'derived', ('drift', rate), joint, 2.0)
+    assert run.during == run.after == 0.0
+    assert run.events == [('RAISED', run.name, 'drift'), ('CLEARED', run.name, 'drift')]
+
+
+def test_given_a_jump_that_hardly_was_an_end_then_bounds_hold_that_as_long_as_other_errors():
+    """Half a percent is less than a name may be wrong by, and more than what bounds leave out."""
+    (cell,) = cells(['coarse'], [False], ['derived'], [BY_NAME['drift 0.1']])
+    assert run(cell, 414).outside == 0.0
 
 
 def test_given_a_drift_that_nobody_named_when_it_ends_then_the_alarm_of_its_jump_is_cleared():

@@ -278,7 +278,8 @@ class SerialMonitor:
         state['learns'] = not (suspects or self.followed.known)
         state['follows'] = len(self.followed) > 0
         state['ends'] = len(self._jumps) > 0
-        state['guarantees'], state['suspects'] = self.healthy is not None, suspects
+        state['guarantees'] = self.healthy is not None
+        state['suspects'] = suspects or bool(self._suspected.any())
         state['pushed'] = self._contact.since < math.inf
         alarm = self._has_alarm()
         state['active'] = alarm
@@ -315,10 +316,11 @@ class SerialMonitor:
         """What is not decided adds to standard deviations, shape (n,) [rad].
 
         While a jump may have been the end of a fault, or a scale error's, bounds hold that as well,
-        and so they do of a fault that is suspected, and the ways of a joint whose reading is frozen
-        while all others rest, or rests again while the alarm that it was frozen is up.
+        and so they do of a fault that `_hold` finds or that is suspected, and the ways of a joint
+        whose reading is frozen while all others rest, or rests again while the alarm that it was
+        frozen is up.
         """
-        error = self._jumps.errors(self.settings.probability_of_wrong_name)
+        error = self._jumps.errors(self.settings.beyond)
         filters, now = self.followed.filters, self.readings.last()
         for i, sensor in enumerate(self.sensors):
             if i in filters:
@@ -496,6 +498,7 @@ class SerialMonitor:
             self._blame(seen, 1.0 - math.exp(-seen.gain), now)
         elif self.bank.statistic < self._state['threshold']:
             self._see_nothing_wrong()
+            self._hold(found, now)
         else:
             self._name(found, now)
         self._mark_suspects()
@@ -585,10 +588,7 @@ class SerialMonitor:
         shares = self.bank.shares(found)
         likely = [one for one, share in shares if share > wrong]
         self.suspects = tuple(self._label(one) for one in likely)
-        for one in likely:
-            if one.is_encoder:
-                i = one.joint
-                self._suspected[i] = max(self._suspected[i], self._size_now(one, now))
+        self._hold(every, now)
         one, share = shares[0]
         # What a jump explains is weighed on its own, and stays a rival of other causes.
         own = (every.rows['joint'] == one.joint) & (every.is_encoder == one.is_encoder)
@@ -626,10 +626,27 @@ class SerialMonitor:
         elif one.kind == 'rate_bias':
             self._blame_rate(one, share)
 
-    def _size_now(self, one: Hypothesis, now: float) -> float:
-        """How large the fault of an encoder would be by now [rad]."""
-        grown = {'drift': now - one.begin, 'scale': self.readings.farthest(one.joint)}
-        return abs(one.size) * grown.get(one.kind, 1.0)
+    def _hold(self, found: Compared, now: float) -> None:
+        """Let bounds hold faults of encoders that are more probable than what lies beyond bounds.
+
+        A healthy arm is one of the explanations.  What a jump explains is weighed on its own.
+        """
+        beyond, rows = self.settings.beyond, found.rows
+        healthy = math.log(3600.0 / self.plan.interval)  # odds are those of causes per hour
+        surplus = rows['odds'] - np.logaddexp(found.odds, healthy) - math.log(beyond)
+        held = found.is_encoder & (surplus > 0.0) & ~self._jumps.explain(found, beyond)
+        held &= ~np.isin(rows['joint'], list(self.followed.known))
+        # Normal sizes that are as probable as what lies beyond.
+        reach = np.sqrt(2.0 * np.maximum(surplus, 0.0)) * rows['sigma']
+        largest = (np.abs(rows['size']) + reach) * self._growth(found, now)
+        np.maximum.at(self._suspected, rows['joint'][held], largest[held])
+
+    def _growth(self, found: Compared, now: float) -> FloatArray:
+        """How large a fault of an encoder is by now, over its size."""
+        joints, since = found.rows['joint'], now - found.rows['begin']
+        farthest = np.array([self.readings.farthest(i) for i in range(self.joints)])
+        grown = np.where(found.of_kind('scale'), farthest[joints], 1.0)
+        return np.where(found.of_kind('drift'), since, grown)
 
     def _frozen(self) -> dict[int, Frozen]:
         """Readings that may be frozen."""

@@ -17,8 +17,9 @@ OCCURRENCE = {
         ('drift', 'scale', 'slip', 'stuck', 'rate_bias', 'torque_gain', 'torque_offset'), 0.01
     ),
 }
-"""How often causes come, per hour of motion: a push every hour, one fault of a kind in 100 h.  Only
-ratios count.  Torque sensors fail as often as encoders do."""
+"""How often causes come, per hour of motion: a push every hour, one fault of a kind in 100 h.
+Names go by ratios; bounds hold a fault once it is probable beside a healthy arm.  Torque sensors
+fail as often as encoders do."""
 SIZE = {'drift': 0.3, 'slip': 0.2, 'scale': 0.2, 'rate_bias': 0.3, 'torque_gain': 0.5}
 """Standard deviations of faults' sizes [rad/s], [rad], [-], [rad/s], [-]."""
 FAULT_AT_START = 1e-3

@@ -27,6 +27,11 @@ class DiagnosisParameters:
         """Smallest jump that is looked for [rad]; those that are no faults are known, too."""
         return min(self.smallest_step, DiagnosisParameters.smallest_step)
 
+    @property
+    def beyond(self) -> float:
+        """Probability that a normal error lies beyond a bound."""
+        return math.erfc(self.sigmas / math.sqrt(2.0))
+
     def threshold(self, interval: float) -> float:
         """Logarithm of A: decisions between false alarms, one every interval [s]."""
         return math.log(self.hours_between_false_alarms * 3600.0 / interval)

@@ -83,14 +83,14 @@ class UndecidedJumps:
         """Whether all samples at hand are later than the jump of sensor i that may be an end."""
         return i not in self.ends or now - self.ends[i].time > self._two_intervals
 
-    def errors(self, wrong: float) -> FloatArray:
+    def errors(self, least: float) -> FloatArray:
         """Largest error of each reading by what is open beyond a probability, shape (n,) [rad]."""
         error = np.zeros(self._readings.estimator.joints)
         for i, end in self.ends.items():
-            if end.share > wrong:
+            if end.share > least:
                 error[i] = abs(end.jump)
         for i, scaled in self.scaled.items():
-            if scaled.share > wrong:
+            if scaled.share > least:
                 error[i] = max(error[i], abs(scaled.error(self._readings.newest(i))))
         return error
 
