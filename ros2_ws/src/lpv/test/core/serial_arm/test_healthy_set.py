@@ -141,6 +141,17 @@ def test_given_friction_that_grows_with_load_when_moved_then_thresholds_hold(loa
     assert largest_ratio(arm, 0.6, 2.0) < 0.5
 
 
+@LEVEL
+def test_given_friction_by_load_that_is_half_as_large_again_then_the_worst_arm_stays_below(joint):
+    """Such friction changes the load that it grows with."""
+    stated = replace(CLOSE, uncertainty=description.Uncertainty(0.0, 0.5, 0.0))
+    arm = with_joints(stated, friction={'coulomb': 0.5, 'load': 0.3})
+    chain, own = compile_chain(arm), watched(arm, duration=2.0)
+    plant = member(chain, parameter_set(arm, chain), np.sign(own.effects[joint]))
+    worst = watched(arm, plant, duration=2.0)
+    assert 0.3 < np.abs(worst.estimate[joint]) / worst.threshold[joint] < 1.0
+
+
 @pytest.mark.parametrize('missed', [-2.0, 2.0])
 def test_given_torques_that_are_missed_at_rest_alone_when_rates_are_noisy_then_thresholds_hold(
     missed,

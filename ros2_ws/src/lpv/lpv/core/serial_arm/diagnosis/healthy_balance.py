@@ -139,12 +139,15 @@ def _add_block(
                 even += turn * change / (12.0 * count)
         doubt = half + SIGMAS * rate_noise[i]
         slowest, fastest = max(abs(v[i]) - doubt, 0.0), abs(v[i]) + doubt
-        uneven = _within(v[i], half, slope) * dry
+        missed = _tolerance(sizes.tolerance[i], slowest, fastest)
+        own = sizes.viscous[i] * abs(v[i]) + sizes.coulomb[i] * abs(sign) + sizes.offset[i]
+        product = _loaded_twice(row, sizes.load[i], (left, sign, acts), own + missed)
+        uneven = _within(v[i], half, slope) * (dry + sizes.coulomb[i] + sizes.load[i] * load)
         if slowest == 0.0:  # it may rest, friction may be anything
             share = row[LOAD] + sizes.load[i]
             most = row[COULOMB] + sizes.coulomb[i] + share * abs(torque[i])
             uneven = max(uneven, most / max(1.0 - share, SAME) + dry * abs(sign))
-        missed = length * (uneven + _tolerance(sizes.tolerance[i], slowest, fastest))
+        missed = length * (uneven + product + max(acts, 1.0) * missed)
         bend = row[VISCOUS] + dry * slope * (2.0 / np.pi) / (1.0 + (slope * v[i]) ** 2)
         noise = (length * bend * rate_noise[i]) ** 2
         slack, rest, rising, falling = span + SLACK, 1.0 - place, hat.rising[1, i], hat.falling[i]
@@ -172,6 +175,29 @@ def _tolerance(points: FloatArray, slowest: float, fastest: float) -> float:
                 rise = (points[1, k + 1] - points[1, k]) * (speed - points[0, k]) / width
                 largest = max(largest, points[1, k] + rise)
     return float(largest)
+
+
+@njit
+def _loaded_twice(
+    row: FloatArray, more: float, drive: tuple[float, float, float], other: float
+) -> float:
+    """What the effects of friction miss, where it grows with the load that it changes [N m].
+
+    A gear carries rho, the drive left = (1 + (L + d) s sgn rho) rho + delta, with the error d of L
+    and delta of all else, abs(d) <= ``more``, abs(delta) <= ``other``.  Effects are those of the
+    load rho^ = a left of the nominal arm.  ``drive`` has left, s and a.
+    """
+    left, sign, acts = drive
+    size, share = abs(sign), acts * abs(sign) * more
+    if row[LOAD] + more == 0.0:
+        return 0.0
+    # rho^ - rho = a (d s sgn(rho) rho + delta), of which the first part was taken of rho^.
+    result = share * acts * (size * more * acts * abs(left) + other) / max(1.0 - share, SAME)
+    if abs(left) <= other:  # the gear may carry a load of the other sign
+        largest = other / max(1.0 - (row[LOAD] + more) * size, SAME)
+        opposed = (2.0 * row[LOAD] + more) * largest + more * acts * other
+        result = max(result, acts * size * opposed)
+    return float(result)
 
 
 @njit
