@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 
 from lpv import ConfigError, load_arm
-from lpv.campaign.falsify.attack import Attacker
-from lpv.campaign.falsify.healthy_run import CENTRE, RATE_SCALE, SPEED, SWING
+from lpv.campaign.falsify.attack import Attacker, effort_of
+from lpv.campaign.falsify.healthy_run import CENTRE, PUSH, RATE_SCALE, SPEED, SWING
 from lpv.campaign.falsify.search import BAG, SCENARIO, read_attack, repeat, search, write_worst
 from lpv.core.serial_arm.arm_file import save_arm
-from lpv.core.serial_arm.description import Uncertainty
+from lpv.core.serial_arm.description import TorqueTolerance, Uncertainty
+from lpv.core.serial_arm.diagnosis.estimator import STRAIGHT
 from lpv.core.uio.planar import planar_model
 from lpv.identify.sensors import noise_deviation
 
@@ -74,11 +75,54 @@ def test_given_a_serial_arm_when_attacked_then_only_a_monitor_told_too_little_is
         assert np.all(rows[CENTRE] - rows[SWING] >= lower - 1e-9)
         assert np.all(rows[SWING] * rows[SPEED] <= ur10.velocity_limit)
         assert np.abs(attack.shares).max() <= 1.0
+        assert np.abs(attack.offsets).max() <= STRAIGHT and 0.0 in attack.offsets
     # A search comes near and never across, unless the monitor is told too little.
     worst = search(Attacker(ur10, 2.0), 20)[0]
     assert 0.4 < worst.ratio < 1.0 and worst.thresholds[worst.sensor] < 1.5
     told = replace(ur10, uncertainty=Uncertainty(0.2, 0.05, 0.01))
     assert search(Attacker(ur10, 2.0, monitored=told), 24)[0].ratio > 1.0
+
+
+def three_joints(**changes):
+    """The UR10's first joints, their model exact but for what a test says."""
+    arm = load_arm('ur10')
+    joints = tuple(replace(joint, **changes) for joint in arm.joints[:3])
+    return replace(arm, joints=joints, uncertainty=Uncertainty(0.0, 0.0, 0.0))
+
+
+@pytest.mark.parametrize('stated', [
+    {'effort_delay': 0.02},
+    {'torque_tolerance': TorqueTolerance((0.0, 0.5), (2.0, 10.0))},
+])  # fmt: skip
+def test_given_late_efforts_or_missed_torques_when_searched_then_they_are_tried(stated):
+    arm, told = three_joints(**stated), three_joints()
+    assert search(Attacker(arm, 2.0, monitored=told), 12)[0].ratio > 1.0
+    assert 0.5 < search(Attacker(arm, 2.0), 12)[0].ratio < 1.0
+
+
+def test_given_efforts_of_a_motion_when_delayed_then_they_are_as_late_as_said():
+    at = 0.01 * np.arange(3000)
+    means = np.sin(at - 0.005)  # of a sample each
+    for late in (-1.5, 0.5, 4.0):
+        error = effort_of(means, late, 0.0) - np.sin(at - 0.01 * late)
+        assert np.abs(error[20:-20]).max() < 1e-4
+    assert effort_of(means, 0.5, 100.0)[-1000:].max() == pytest.approx(0.5**0.5, rel=0.02)
+
+
+def test_given_joints_at_rest_then_friction_takes_up_to_coulombs_of_either_sign():
+    arm = three_joints()
+    attacker = Attacker(arm, 1.0)
+    attack = attacker.attack(np.zeros(attacker.numbers), 1)
+    attack.joints[SWING] = [0.0, 0.0, 0.0]
+    efforts = []
+    for share in (0.0, 1.0, -1.0):
+        attack.joints[PUSH] = [share] * 3
+        assert attacker.simulate(replace(attack, switch_speed=0.0, signs=[]))
+        efforts.append(attacker.samples[-1, 2].copy())
+    friction = [joint.friction for joint in arm.joints]
+    dry = [one.coulomb + one.load * abs(held) for one, held in zip(friction, efforts[0])]
+    assert efforts[0] - efforts[1] == pytest.approx(dry, rel=1e-3)
+    assert efforts[2] - efforts[0] == pytest.approx(dry, rel=1e-3)
 
 
 def test_given_a_short_search_when_run_then_it_comes_near_and_never_across(arm, gains_of):

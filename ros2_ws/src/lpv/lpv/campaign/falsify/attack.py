@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from scipy.signal import lfilter
 
 from lpv.campaign.falsify import healthy_run
 from lpv.core.monitoring.parameters import DiagnosisParameters
@@ -19,6 +20,7 @@ from lpv.core.monitoring.serial_monitor import SerialSensorMonitor
 from lpv.core.serial_arm.chain import Chain, FloatArray, compile_chain
 from lpv.core.serial_arm.description import RATE_BIAS, SerialArm
 from lpv.core.serial_arm.diagnosis.alarms import GUARANTEED, Alarm, SensorState
+from lpv.core.serial_arm.diagnosis.estimator import STRAIGHT, HorizonPlan
 from lpv.core.serial_arm.diagnosis.healthy_balance import generator_count
 from lpv.core.serial_arm.diagnosis.healthy_set import LEAST_RESPONSE
 from lpv.core.serial_arm.diagnosis.parameter_set import (
@@ -28,6 +30,7 @@ from lpv.core.serial_arm.diagnosis.parameter_set import (
     parameter_set,
     payload_generator,
 )
+from lpv.core.serial_arm.diagnosis.sampler import DELAY
 from lpv.core.serial_arm.simulation import plant_scratch
 from lpv.core.simulation.arm_simulator import PlantParts, plant_constants, plant_state
 from lpv.core.simulation.faults import Fault, FaultInjector
@@ -65,6 +68,9 @@ class Attack:
     switch_phase: float
     rate_switch: float
     shares: list[float]  # of what the file allows of the true arm, in [-1, 1]
+    # of each joint, + or - an interval: the sign of missed torques and friction at rest; else none
+    signs: list[str]
+    offsets: list[float]  # of sensors, which then are not judged [rad]
     seed: int  # of the noise
 
 
@@ -72,10 +78,11 @@ class Attack:
 class Finding:
     """One evaluated attack."""
 
-    ratios: FloatArray  # of each sensor, the largest abs(f^)/threshold; 1 breaks the guarantee
+    # of each healthy sensor, the largest abs(f^)/threshold; 1 breaks the guarantee
+    ratios: FloatArray
     thresholds: FloatArray  # then [rad]
     times: FloatArray  # when [s]
-    blamed: bool  # whether an alarm was raised, guaranteed or not
+    blamed: bool  # whether an alarm of a healthy sensor was raised, guaranteed or not
     attack: Attack  # what was done
 
     @property
@@ -101,7 +108,13 @@ class Attacker:
         )
         n = len(arm.joint_names)
         self.numbers = _MOTION * n + _SHARED + self.range.own
-        self.samples = np.zeros((max(2, round(duration / arm.sample_time)), 3, n))
+        count = max(2, round(duration / arm.sample_time))
+        # Efforts that are early or late tell of others.
+        self._around, sensors = self.range.around, [joint.sensors for joint in arm.joints]
+        self._samples = np.zeros((count + 2 * self._around, 3, n))
+        self.samples = self._samples[self._around : self._around + count]
+        noise = np.array([[one.velocity_noise, one.position_noise] for one in sensors])
+        self._still = 0.1 * (noise / [1.0, 0.01]).min(1)  # of blocks of 10 ms
         chain = self.range.chain
         scenario = Scenario('attack', duration, 0, (), (), disturbance=gains is not None)
         constants = plant_constants(arm, scenario, chain, margin=2)  # corners are stiffer
@@ -149,29 +162,42 @@ class Attacker:
             float(np.pi * phase),
             float(rates > 0.3),
             [0.0] * self.range.count,
+            [],
+            self.range.offsets(own),
             seed,
         )
         mean = self.range.disturb(joints, own, np.zeros(self.range.count))
         attack = replace(attack, joints=joints.tolist(), disturbance=mean)
-        shares = self.range.shares(own, attack, self)
+        shares, signs = self.range.aimed(own, attack, self)
         mean = self.range.disturb(joints, own, shares)
-        return replace(attack, joints=joints.tolist(), disturbance=mean, shares=shares.tolist())
+        attack = replace(attack, joints=joints.tolist(), disturbance=mean)
+        return replace(attack, shares=shares.tolist(), signs=signs)
 
     def simulate(self, attack: Attack, count: int | None = None) -> bool:
         """Fill the first samples; False if the simulation diverged."""
-        samples, shares = self.samples[:count], np.array(attack.shares)
+        shares, arm, n = np.array(attack.shares), self.arm, self._samples.shape[2]
+        samples = self._samples[: count and count + 2 * self._around]
+        signs = [[1.0 if sign == '+' else -1.0 for sign in each] for each in attack.signs]
         course = healthy_run.Course(
-            self.range.to_joint, np.array(attack.joints), attack.disturbance, attack.rest,
-            attack.switch_speed, attack.switch_phase, attack.rate_switch)  # fmt: skip
+            self.range.to_joint, np.array(attack.joints), self.range.tolerance,
+            np.array(signs).reshape(n, -1).T.copy(), _interval(arm), self._still, self._around,
+            attack.disturbance, attack.rest, attack.switch_speed, attack.switch_phase,
+            attack.rate_switch)  # fmt: skip
         plant = self._plant._replace(chain=self.range.member(shares))
         noise = np.random.default_rng(attack.seed)
         good = bool(healthy_run.simulate(plant, course, noise, samples))
-        return good and bool(np.abs(samples).max() < LARGEST)
+        good = good and bool(np.abs(samples).max() < LARGEST)
+        if good:
+            samples[:, 0] += arm.sensors_to_joints() @ attack.offsets
+            for i, (late, filtered) in enumerate(zip(*self.range.delays(shares))):
+                samples[:, 2, i] = effort_of(samples[:, 2, i], late / arm.sample_time,
+                                         filtered / arm.sample_time)  # fmt: skip
+        return good
 
     def run(self, attack: Attack) -> Finding:
         """Simulate one attack, and look at the thresholds all along."""
         if self.simulate(attack):
-            return Finding(*self.range.judge(self.samples), attack)
+            return Finding(*self.range.judge(self.samples, np.array(attack.offsets)), attack)
         nothing = np.zeros(self.samples.shape[2])
         return Finding(nothing, nothing, nothing, False, attack)
 
@@ -180,12 +206,34 @@ def _geometric(share: FloatArray, low: float, high: float) -> FloatArray:
     return np.asarray(low * (high / low) ** (0.5 * (share + 1.0)))
 
 
+def _interval(arm: SerialArm) -> int:
+    """Samples of an interval of the balances."""
+    plan = HorizonPlan.of(arm.sample_time)
+    return plan.per_block * plan.blocks
+
+
+def effort_of(efforts: FloatArray, late: float, filtered: float) -> FloatArray:
+    """Efforts that are late, and low-passed by a time constant, both in samples."""
+    at = np.arange(len(efforts))
+    efforts = np.interp(at + 0.5 - late, at, efforts)  # means are half a sample late
+    if filtered <= 0.0:
+        return efforts
+    keep = float(np.exp(-1.0 / filtered))
+    start = [keep * efforts[0]]
+    return np.asarray(lfilter([1.0 - keep], [1.0, -keep], efforts, zi=start)[0])
+
+
 def _load(shares: FloatArray, sizes: ParameterSet, payload: float) -> None:
     """No payload is negative, and its place counts with its mass."""
     at_tip = payload_generator(sizes, payload)
     if at_tip >= 0:
         shares[at_tip] = max(shares[at_tip], 0.0)
         shares[at_tip + 1 : len(sizes.inertial)] *= shares[at_tip]
+
+
+def _aim(own: FloatArray, sensors: int) -> int:
+    """Sensor that a candidate aims at."""
+    return min(int(0.5 * (own[-4] + 1.0) * sensors), sensors - 1)
 
 
 def stamps_of(samples: FloatArray, period: float) -> np.ndarray:
@@ -201,6 +249,7 @@ class _DesignedRange:
         arm, uncertainty = self.arm, described.uncertainty
         stated = replace(uncertainty, friction=self.arm.friction_error)
         self._sizes = parameter_set(replace(described, uncertainty=stated), self.chain)
+        self.around, self.tolerance = 0, np.zeros_like(self._sizes.tolerance)
         # Shares of mean disturbance and scales of the rates, and of the file's set of arms.
         self.own = self.count = _APART + generator_count(self._sizes)
         joints = JointMap(arm)
@@ -219,10 +268,19 @@ class _DesignedRange:
         fastest = (swing * speed).sum() / (_SPEED * min(self.arm.velocity_limit))
         return np.array([self._middle + away, swing, speed / max(1.0, fastest)])
 
-    def shares(self, own: FloatArray, attack: Attack, attacker: Attacker) -> FloatArray:
+    def offsets(self, own: FloatArray) -> list[float]:
+        return [0.0, 0.0]
+
+    def delays(self, shares: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """None is allowed: efforts are means over the sample before."""
+        return np.full(2, 0.5 * self.arm.sample_time), np.zeros(2)
+
+    def aimed(
+        self, own: FloatArray, attack: Attack, attacker: Attacker
+    ) -> tuple[FloatArray, list[str]]:
         shares = np.clip(2.0 * own, -1.0, 1.0)  # corners are reached
         _load(shares[_APART:], self._sizes, self.arm.payload)
-        return shares
+        return shares, []
 
     def disturb(self, joints: FloatArray, own: FloatArray, shares: FloatArray) -> float:
         """Write what disturbs a motion into its rows; the mean of d."""
@@ -233,7 +291,9 @@ class _DesignedRange:
     def member(self, shares: FloatArray) -> Chain:
         return member(self.chain, self._sizes, shares[_APART:])
 
-    def judge(self, samples: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, bool]:
+    def judge(
+        self, samples: FloatArray, offsets: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray, bool]:
         self._monitor.reset()
         answers = self._monitor.take_many(
             stamps_of(samples, self.arm.sample_time), *np.ascontiguousarray(samples.swapaxes(0, 1))
@@ -257,7 +317,12 @@ class _StatedRange:
                 raise ConfigError('uncertainty.model_error', 'is not stated: nothing is guaranteed')
         n, self.arm, self._told, self.chain = len(arm.joints), arm, monitored, compile_chain(arm)
         self._sizes = parameter_set(arm, self.chain)
-        self.own, self.count, self.to_joint = n + 4, generator_count(self._sizes), np.eye(n)
+        self.own, self.count, self.to_joint = 2 * n + 6, generator_count(self._sizes), np.eye(n)
+        self.tolerance = self._sizes.tolerance
+        delay = np.array([abs(joint.effort_delay) for joint in arm.joints])
+        self._late = 0.5 * arm.sample_time + delay
+        longest = self._late.max() + 5.0 / (2.0 * np.pi * arm.effort_bandwidth)
+        self.around = 1 + int(np.ceil(longest / arm.sample_time))
 
     def motion(self, numbers: FloatArray) -> FloatArray:
         low, high = np.array([joint.range for joint in self.arm.joints]).T
@@ -268,12 +333,36 @@ class _StatedRange:
         speed = np.minimum(speed, 0.7 * fastest / np.maximum(swing, 1e-3))
         return np.array([0.5 * (low + high) + away, swing, speed])
 
-    def shares(self, own: FloatArray, attack: Attack, attacker: Attacker) -> FloatArray:
-        """The corner that the monitor's own factors point to at the moment that is aimed at."""
-        (aim, late, sign, free), n = own[-4:], len(self.arm.joints)
-        shares = np.random.default_rng(attack.seed).choice([-1.0, 1.0], self.count)
+    def offsets(self, own: FloatArray) -> list[float]:
+        """Of all sensors but that which is aimed at, as far as balances are linear in them.
+
+        What is quadratic in their sum f, f^2/2 of a torque, is a tenth of what the model may miss.
+        """
+        n, error = len(self.arm.joints), self.arm.uncertainty.model_error or 0.0
+        offsets = np.clip(2.0 * own[n : 2 * n], -1.0, 1.0)
+        offsets[_aim(own, n)] = 0.0
+        largest = min(STRAIGHT, float(np.sqrt(0.2 * error))) / max(
+            1.0, float(np.abs(offsets).sum())
+        )
+        return (offsets * self.arm.scales() * largest * (own[-6] > 0.5)).tolist()
+
+    def delays(self, shares: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Delays and time constants of the efforts [s]."""
+        share = shares[-2 * len(self._late) : -len(self._late)]
+        filtered = np.maximum(share, 0.0) / (2.0 * np.pi * self.arm.effort_bandwidth)
+        return share * self._late, filtered
+
+    def aimed(
+        self, own: FloatArray, attack: Attack, attacker: Attacker
+    ) -> tuple[FloatArray, list[str]]:
+        """The corner that the monitor's own factors point to at the moment that is aimed at.
+
+        Signs of what may have any time profile are those of its weights.
+        """
+        (follow, _, late, sign, free), n = own[-5:], len(self.arm.joints)
+        shares, signs = np.random.default_rng(attack.seed).choice([-1.0, 1.0], self.count), []
         if free < 0.8:
-            joint = min(int(0.5 * (aim + 1.0) * n), n - 1)
+            sensor = _aim(own, n)
             count = max(int(max(0.1, 0.5 * (late + 1.0)) * len(attacker.samples)), 100)
             if attacker.simulate(attack, count):
                 samples, monitor = attacker.samples[:count], SerialSensorMonitor('', self._told)
@@ -281,21 +370,31 @@ class _StatedRange:
                 monitor.take_many(stamps, *samples.swapaxes(0, 1))
                 found = monitor.guarantee()
                 if found is not None:
-                    shares = np.where(found.effects[joint] * sign >= 0.0, 1.0, -1.0)
+                    shares = np.where(found.effects[sensor] * sign >= 0.0, 1.0, -1.0)
+                if found is not None and follow < 0.2:
+                    signs = self._signs(sign * found.weights[sensor], count)
         _load(shares, self._sizes, self.arm.uncertainty.largest_payload)
-        return shares
+        return shares, signs
+
+    def _signs(self, weights: FloatArray, count: int) -> list[str]:
+        """Signs of the weights (b, n) of an interval, which is in two balances, until a sample."""
+        each = np.vstack([weights, 0.0 * weights[:1]]) + np.vstack([0.0 * weights[:1], weights])
+        before = max((count - 1 - DELAY) // _interval(self.arm) - len(each), 0)
+        each = np.pad(each, ((before, 0), (0, 0)), 'edge')
+        return [''.join('+' if one > 0.0 else '-' for one in column) for column in each.T]
 
     def disturb(self, joints: FloatArray, own: FloatArray, shares: FloatArray) -> float:
-        # Torques that the model misses are what it may miss at any speed.
-        missed = np.array([min(joint.torque_tolerance.torque) for joint in self.arm.joints])
-        joints[healthy_run.PUSH] = np.clip(2.0 * own[:-4], -1.0, 1.0) * missed
-        joints[healthy_run.RATE_BIAS] = shares[-len(missed) :] * self._sizes.rate_bias
+        n = len(self.arm.joints)
+        joints[healthy_run.PUSH] = np.clip(2.0 * own[:n], -1.0, 1.0)
+        joints[healthy_run.RATE_BIAS] = shares[-n:] * self._sizes.rate_bias
         return 0.0
 
     def member(self, shares: FloatArray) -> Chain:
         return member(self.chain, self._sizes, shares)
 
-    def judge(self, samples: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, bool]:
+    def judge(
+        self, samples: FloatArray, offsets: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray, bool]:
         n, stamps = samples.shape[2], stamps_of(samples, self.arm.sample_time)
         ratios, thresholds, times = np.zeros(n), np.full(n, np.nan), np.zeros(n)
         monitor, alarms = SerialSensorMonitor('', self._told), list[Alarm]()
@@ -308,11 +407,13 @@ class _StatedRange:
             if found is None:
                 continue
             judged = (found.response > LEAST_RESPONSE) & (found.threshold < _WIDEST)
+            judged &= offsets == 0.0
             ratio = np.abs(found.estimate) / np.maximum(found.threshold, 1e-12)
             worse = np.where(judged, ratio, 0.0) > ratios
             ratios = np.where(worse, ratio, ratios)
             thresholds = np.where(worse, found.threshold, thresholds)
             times = np.where(worse, end * self.arm.sample_time, times)
+        alarms = [alarm for alarm in alarms if offsets[alarm.sensor_index] == 0.0]
         for alarm in alarms:
             if alarm.basis == GUARANTEED:
                 i, seconds = alarm.sensor_index, (alarm.detected - stamps[0]) / NANOSECONDS

@@ -8,7 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lpv.core.serial_arm.chain import FloatArray
+from lpv.core.serial_arm.chain import COULOMB, LOAD, FloatArray
+from lpv.core.serial_arm.diagnosis.healthy_balance import tolerated
 from lpv.core.serial_arm.dynamics.friction import friction_torque
 from lpv.core.serial_arm.dynamics.newton_euler import inverse_dynamics
 from lpv.core.simulation.arm_simulator import PlantParts, integrate, read_sensors, set_torque
@@ -24,8 +25,15 @@ class Course(NamedTuple):
 
     to_joint: FloatArray  # (n, n) joint positions from the angles that follow the motion
     # (7, n) centres and amplitudes of these [rad], circular frequencies [rad/s], phases [rad];
-    # torques that the model misses [N m]; bias [rad/s] and relative error of each sensor's rate
+    # torques that the model misses, and friction of a joint at rest, over the largest; bias [rad/s]
+    # and relative error of each sensor's rate
     joints: FloatArray
+    tolerance: FloatArray  # (n, 2, s) speeds [rad/s], torques that the model may miss there [N m]
+    # (m, n) signs of these for ``signs_each`` samples each; none: that of ``switch_speed``
+    signs: FloatArray
+    signs_each: int
+    still: FloatArray  # (n,) rates below which a joint that is to rest does so [rad/s]
+    before: int  # samples before those, of which late efforts tell
     disturbance: float  # mean of the arm's d
     rest: float  # from when on the arm comes to rest [s]
     switch_speed: float  # of the sign of what disturbs; 0: constant [rad/s]
@@ -69,11 +77,12 @@ def simulate(
     own, work = state.own[0], plant.scratch[:n]
     goal, wanted, friction = np.zeros((3, n)), np.zeros(n), np.zeros(n)
     torque, gain = np.zeros(n), min(20.0, 0.1 / params.sample_time)
-    _follow(course, 0.0, goal)
+    pushes, stuck = np.zeros(n), np.zeros(n)
+    _follow(course, -course.before * params.sample_time, goal)
     state.motion[:], state.torque[:], state.reading[:] = goal[:2], 0.0, 0.0
     own.step_count, own.failed = 0, False
     for k in range(samples.shape[0]):
-        time, sign = k * params.sample_time, 1.0
+        time, sign = (k - course.before) * params.sample_time, 1.0
         if course.switch_speed > 0.0:
             sign = 1.0 if math.sin(course.switch_speed * time + course.switch_phase) > 0 else -1.0
         for i in range(n):
@@ -84,18 +93,29 @@ def simulate(
         read_sensors(plant, noise, noise)
         _follow(course, time, goal)
         for i in range(n):
-            samples[k, 0, i], samples[k, 2, i] = state.measured_position[i], state.effort[i]
+            samples[k, 0, i] = state.measured_position[i]
+            samples[k, 2, i] = state.effort[i] + stuck[i] / params.effort_gain[i]
             samples[k, 1, i] = state.measured_velocity[i]
             wanted[i] = goal[2, i] + gain * gain * (goal[0, i] - state.motion[0, i])
             wanted[i] += 2.0 * gain * (goal[1, i] - state.motion[1, i])
         inverse_dynamics(true_arm, state.motion[0], state.motion[1], wanted, work, torque)
         friction_torque(true_arm, state.motion[1], torque, friction)
         for i in range(n):
+            row, push = true_arm.friction[i], sign * course.joints[PUSH, i]
+            if course.signs.shape[0] > 0:
+                at = max(k - course.before, 0) // course.signs_each
+                at = min(at, course.signs.shape[0] - 1)
+                push = course.joints[PUSH, i] * course.signs[at, i]
+            speed, stuck[i] = abs(state.motion[1, i]), 0.0
+            # Friction at rest takes what the drive does too much.
+            if goal[1, i] == 0.0 and speed < course.still[i]:
+                stuck[i] = -push * (row[COULOMB] + row[LOAD] * abs(torque[i]))
             torque[i] += friction[i]
+            pushes[i] = push * tolerated(course.tolerance[i], speed, speed)
         own.push_mean = sign * course.disturbance
         set_torque(plant, torque, noise)
         for i in range(n):
-            torque[i] = state.torque[i] + sign * course.joints[PUSH, i]
+            torque[i] = state.torque[i] + pushes[i]
         integrate(plant, torque)
         if own.failed:
             return False

@@ -88,7 +88,8 @@ def read_attack(path: str | Path) -> tuple[Attack, float]:
     data = read_yaml(path)
     try:
         attack, duration = Attack(**data['attack']), float(data['duration'])
-        numbers = [*np.ravel(attack.joints), *attack.shares, attack.rest, attack.disturbance]
+        numbers = [*np.ravel(attack.joints), *attack.shares, *attack.offsets, attack.rest]
+        numbers.append(attack.disturbance)
         if not (np.isfinite(numbers).all() and 0.0 < duration <= LONGEST):
             raise ValueError(f'no finite numbers of at most {LONGEST:g} s')
     except (KeyError, TypeError, ValueError) as error:
@@ -99,8 +100,13 @@ def read_attack(path: str | Path) -> tuple[Attack, float]:
 
 def repeat(attacker: Attacker, attack: Attack, path: str | Path) -> Finding:
     """Run the attack of a file again; ConfigError if it is of another arm."""
-    shape, count = (RATE_SCALE + 1, attacker.samples.shape[2]), attacker.range.count
-    if np.shape(attack.joints) != shape or len(attack.shares) != count:
-        reason = f'is of another arm: joints must have shape {shape}, shares {count} numbers'
+    n, count = attacker.samples.shape[2], attacker.range.count
+    given = len(attack.shares), len(attack.offsets), len(attack.signs) or n
+    alike = len({len(each) for each in attack.signs}) <= 1
+    if np.shape(attack.joints) != (RATE_SCALE + 1, n) or given != (count, n, n) or not alike:
+        reason = (
+            f'is of another arm: joints must have shape {RATE_SCALE + 1, n}, shares {count} '
+            f'numbers, offsets {n}, signs none or {n} texts of one length'
+        )
         raise ConfigError('attack', reason, str(path))
     return attacker.run(attack)

@@ -139,7 +139,7 @@ def _add_block(
                 even += turn * change / (12.0 * count)
         doubt = half + SIGMAS * rate_noise[i]
         slowest, fastest = max(abs(v[i]) - doubt, 0.0), abs(v[i]) + doubt
-        missed = _tolerance(sizes.tolerance[i], slowest, fastest)
+        missed = tolerated(sizes.tolerance[i], slowest, fastest)
         own = sizes.viscous[i] * abs(v[i]) + sizes.coulomb[i] * abs(sign) + sizes.offset[i]
         product = _loaded_twice(row, sizes.load[i], (left, sign, acts), own + missed)
         uneven = _within(v[i], half, slope) * (dry + sizes.coulomb[i] + sizes.load[i] * load)
@@ -161,7 +161,7 @@ def _add_block(
 
 
 @njit
-def _tolerance(points: FloatArray, slowest: float, fastest: float) -> float:
+def tolerated(points: FloatArray, slowest: float, fastest: float) -> float:
     """Largest torque between two speeds, by points (2, s) between which it is linear [N m]."""
     last = points.shape[1] - 1
     largest = points[1, 0] if slowest <= points[0, 0] else 0.0

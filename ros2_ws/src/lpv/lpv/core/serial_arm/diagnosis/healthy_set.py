@@ -57,6 +57,8 @@ class Guarantee:
     threshold: FloatArray  # largest estimate of a healthy arm [rad]
     response: FloatArray  # part of an offset that the estimate shows [-]
     effects: FloatArray  # (n, k) effect of each generator of the set on the estimate [rad]
+    # (n, b, n) of the estimate by each joint of each balance in the horizon, oldest first
+    weights: FloatArray
     slack: FloatArray  # of the threshold: blocks, tolerated torques, other offsets [rad]
     noise: FloatArray  # of the threshold: noise [rad]
     rest: FloatArray  # of the threshold: where the estimator linearised [rad]
@@ -223,7 +225,7 @@ class HealthySet:
         doubt = slack + noise + rest
         return Guarantee(
             estimate[:n], (np.abs(effects).sum(1) + doubt)[:n], 1.0 - np.diag(share), effects[:n],
-            slack[:n], noise[:n], rest[:n],
+            map_[:n], slack[:n], noise[:n], rest[:n],
             self._payload_interval(float(estimate[n]), effects[n], float(doubt[n])),
         )  # fmt: skip
 
