@@ -13,6 +13,7 @@ from lpv import ConfigError, load_arm
 from lpv.core.serial_arm.certificate.disturbance import missed_torque
 from lpv.core.serial_arm.certificate.loop_gains import LoopGains
 from lpv.core.serial_arm.chain import compile_chain
+from lpv.core.serial_arm.description import LinkInertia
 from lpv.core.serial_arm.dynamics.model import SerialModel
 from lpv.core.serial_arm.dynamics.payload import with_payload
 from lpv.core.support.resources import bringup_file
@@ -66,6 +67,24 @@ def test_given_true_arms_at_corners_then_energy_decays_and_missed_torques_are_bo
         missed = SerialModel(chain).inverse_dynamics(q, v, a) - model.inverse_dynamics(q, v, a)
         size = np.sqrt(missed @ np.linalg.solve(model.mass_matrix(q), missed))
         assert size < parts['model error'] + parts['payload']
+
+
+def test_given_rotors_that_are_off_when_driven_then_the_missed_torque_is_bounded():
+    """Where they outweigh the links, and nothing else is missed."""
+    arm, gains = FILES['ur10']
+    link, error = LinkInertia(1e-3, (0.0, 0.0, 0.0), (0.0,) * 6), gains.model_error
+    light = replace(with_joints(arm, link=link), gravity=0.0)
+    chain = compile_chain(light)
+    bounds = replace(gains.model, inertia=np.diag(chain.motor))
+    parts = missed_torque(light, bounds, error, np.zeros(6), 2.0)
+    q, v, a = np.full(6, 0.5), np.zeros(6), np.full(6, 2.0)
+    off = chain._replace(motor=(1.0 + error) * chain.motor)
+    model = SerialModel(chain)
+    missed = SerialModel(off).inverse_dynamics(q, v, a) - model.inverse_dynamics(q, v, a)
+    size = np.sqrt(missed @ np.linalg.solve(model.mass_matrix(q), missed))
+    assert 0.9 * parts['model error of rotors'] < size
+    assert size < parts['model error'] + parts['model error of rotors']
+    assert size > parts['model error']  # which is that of the links
 
 
 @EACH

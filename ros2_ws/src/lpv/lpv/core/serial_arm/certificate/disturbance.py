@@ -37,7 +37,8 @@ def missed_torque(
     bounds : ModelBounds
         Of its mass matrix.
     model_error : float
-        d: relative error of each link's pseudo-inertia, in the matrix order.
+        d: relative error of each link's pseudo-inertia, in the matrix order, and of each entry of
+        the rotors' matrix.
     rates : ndarray, shape (n,)
         Largest of each joint of the arm, and of its reference [rad/s].
     acceleration : float
@@ -52,11 +53,13 @@ def missed_torque(
     viscous, torque = friction[:, VISCOUS], np.array(arm.torque_limit)
     # Negative viscous friction is no damping: all of it counts, besides its error.
     missed = (change * np.abs(viscous) + 2.0 * np.maximum(-viscous, 0.0)) * rates
+    rotors = model_error * acceleration * np.abs(chain.motor).sum(1)
     dry = (2.0 + change) * friction[:, COULOMB]
     # Of friction that grows with load, torques of the model and of the arm are below the limit.
     loaded = np.where(friction[:, LOAD] > 0.0, (2.0 + change) * friction[:, LOAD] * torque, 0.0)
     return {
         'model error': model_error * (free_fall * math.sqrt(mass) + moving),
+        'model error of rotors': _norm(rotors, bounds),
         'payload': load * (free_fall + tip),
         'viscous friction': _norm(missed, bounds),
         'dry friction, opposed at every joint': _norm(dry + loaded, bounds),

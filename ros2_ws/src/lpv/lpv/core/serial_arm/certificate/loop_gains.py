@@ -75,7 +75,7 @@ class LoopGains(CertifiedGains):
     """Tracking of a serial arm, with its certificate."""
 
     bandwidth: float = entry('number', low=0.1, high=100.0)  # w [rad/s]
-    # d: of each link's pseudo-inertia, in the matrix order [-]
+    # d: of each link's pseudo-inertia, in the matrix order, and of rotors [-]
     model_error: float = entry('number', low=0.0, high=0.5)
     # region: share of the velocity limits, of all joints at once [-]
     rate_share: float = positive(high=1.0)
@@ -142,7 +142,7 @@ class LoopGains(CertifiedGains):
         return [
             f'region: every position, joint rates to {_listed(self.rate_share * rates)} rad/s, all '
             'at once',
-            f'model error {self.model_error:g} of every link, payload to '
+            f'model error {self.model_error:g} of every link and rotor, payload to '
             f'{arm.uncertainty.largest_payload:g} kg, friction {arm.uncertainty.friction:g} off; '
             f'bandwidth {self.bandwidth:g} rad/s',
             'bound of the tracking error of each joint [rad], rates to '
