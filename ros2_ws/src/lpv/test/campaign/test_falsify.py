@@ -7,7 +7,7 @@ import pytest
 
 from lpv import ConfigError, load_arm
 from lpv.campaign.falsify.attack import Attacker, effort_of
-from lpv.campaign.falsify.healthy_run import CENTRE, PUSH, RATE_SCALE, SPEED, SWING
+from lpv.campaign.falsify.healthy_run import CENTRE, PHASE, PUSH, RATE_SCALE, SPEED, SWING
 from lpv.campaign.falsify.search import BAG, SCENARIO, read_attack, repeat, search, write_worst
 from lpv.core.serial_arm.arm_file import save_arm
 from lpv.core.serial_arm.description import TorqueTolerance, Uncertainty
@@ -98,6 +98,16 @@ def test_given_late_efforts_or_missed_torques_when_searched_then_they_are_tried(
     arm, told = three_joints(**stated), three_joints()
     assert search(Attacker(arm, 2.0, monitored=told), 12)[0].ratio > 1.0
     assert 0.5 < search(Attacker(arm, 2.0), 12)[0].ratio < 1.0
+
+
+def test_given_efforts_that_are_late_when_joints_brake_then_thresholds_hold_before_they_tell():
+    """Such efforts show the torque of the last balances when these are long complete."""
+    attacker = Attacker(three_joints(effort_delay=0.05), 0.75)
+    attack = attacker.attack(np.zeros(attacker.numbers), 1)
+    attack.joints[CENTRE], attack.joints[PHASE] = [0.6, 2.8, 2.9], [2.0, -0.6, -2.3]
+    attack.joints[SWING], attack.joints[SPEED] = [0.7, 0.17, 0.14], [1.6, 1.8, 0.4]
+    late = [1.0] * attacker.range.count
+    assert 0.5 < attacker.run(replace(attack, rest=0.65, shares=late, signs=[])).ratio < 1.0
 
 
 def test_given_efforts_of_a_motion_when_delayed_then_they_are_as_late_as_said():

@@ -222,8 +222,8 @@ def close_healthy_interval(
     shape (n,), has standard deviations of the mean readings [rad].
 
     Written are ``effects``, shape (n, 1 + k): the residual, then the effect of each generator, see
-    `generator_count`; and ``doubts``, shape (2, n): slack [N m s], and the variance of noise except
-    that of the mean rates [N2 m2 s2].
+    `generator_count`; and ``doubts``, shape (3, n): slack [N m s], the variance of noise except
+    that of the mean rates [N2 m2 s2], and the slack of how late torques bend.
     """
     n, row, span = effects.shape[0], balance.hat.rows, 10 * effects.shape[0]
     if close_hat(balance.hat, length):
@@ -248,7 +248,7 @@ def close_healthy_interval(
             balance.bent[1, i] = max(abs(change - balance.bent[0, i]), _HELD * balance.bent[1, i])
             balance.bent[0, i] = change
             doubts[0, i], doubts[1, i] = -row[i, span + SLACK], -row[i, span + VARIANCE]
-            doubts[0, i] += sizes.delay[1, i] / length * balance.bent[1, i]
+            doubts[2, i] = sizes.delay[1, i] / length * balance.bent[1, i]
             for j in range(n):
                 bias = sizes.rate_bias[j] * rows[i, 1 + RATE * n + j]
                 effects[i, 1 + count + 6 * n + j] = -bias

@@ -40,6 +40,7 @@ from lpv.core.serial_arm.diagnosis.learning import payload_share
 from lpv.core.serial_arm.diagnosis.parameter_set import parameter_set, payload_generator
 from lpv.core.serial_arm.diagnosis.stuck import LINEAR
 from lpv.core.serial_arm.sensor_map import map_rows
+from lpv.core.support.inequalities import SAME
 from lpv.core.support.jit import njit_in_place
 
 SLACK, NOISE = range(2)
@@ -61,7 +62,7 @@ class Guarantee:
     weights: FloatArray
     slack: FloatArray  # of the threshold: blocks, tolerated torques, other offsets [rad]
     noise: FloatArray  # of the threshold: noise [rad]
-    rest: FloatArray  # of the threshold: where the estimator linearised [rad]
+    rest: FloatArray  # of the threshold: where the estimator linearised, late efforts [rad]
     payload: tuple[float, float]  # least and largest of a healthy arm, as learned [kg]
 
     @property
@@ -82,7 +83,8 @@ class HealthyRing(NamedTuple):
 
     balance: HealthyBalance
     effects: FloatArray  # (capacity, n, 1 + k) residual, then the effect of each generator
-    doubts: FloatArray  # (capacity, 2, n) as of `close_healthy_interval`
+    doubts: FloatArray  # (capacity, 3, n) as of `close_healthy_interval`
+    unseen: int  # balances whose torques late efforts may still be about to show
     right: FloatArray  # (m, 1 + k) A^T W E of what is remembered
     past: FloatArray  # (2,) see `SLACK`
     block_noise: FloatArray  # (n,) standard deviation of mean joint rates of a block [rad/s]
@@ -120,6 +122,11 @@ def _add(ring: HealthyRing, rows: FloatArray, blocks: FloatArray, at: int) -> No
     close_healthy_interval(
         ring.balance, length, rows, ring.mean_reading, ring.effects[at], ring.doubts[at]
     )
+    # Bends that late efforts show now may have been those of torques of the balances before.
+    for back in range(1, ring.unseen + 1):
+        before = (at - back) % ring.doubts.shape[0]
+        for i in range(rows.shape[0]):
+            ring.doubts[before, 2, i] = max(ring.doubts[before, 2, i], ring.doubts[at, 2, i])
 
 
 @njit_in_place
@@ -134,7 +141,7 @@ def remember(ring: HealthyRing, window: Window, at: int, learn: bool, factor: fl
     if not learn:
         return
     for i in range(n):
-        weight, slack = window.weights[at, i], ring.doubts[at, 0, i]
+        weight, slack = window.weights[at, i], ring.doubts[at, 0, i] + ring.doubts[at, 2, i]
         ring.past[SLACK] += weight * slack * slack
         for a in range(m):
             share = weight * window.rows[at, i, first + a]
@@ -176,7 +183,8 @@ class HealthySet:
         difference = np.sqrt(2.0) * reading / (plan.per_block * arm.sample_time)
         by_sensor = np.where(self._derived, difference, rate)
         self.ring = HealthyRing(
-            self._balance, np.zeros((plan.capacity, n, columns)), np.zeros((plan.capacity, 2, n)),
+            self._balance, np.zeros((plan.capacity, n, columns)), np.zeros((plan.capacity, 3, n)),
+            int(np.ceil((sizes.delay[0].max() - 0.5 * arm.sample_time) / plan.interval - SAME)),
             np.zeros((m, columns)), np.zeros(2),
             np.sqrt(map_rows(self._balance.to_joints**2, by_sensor**2)),
             noise / np.sqrt(plan.per_block * plan.blocks),
@@ -206,10 +214,12 @@ class HealthySet:
         places = recent(window, last)[::-1]
         weighted = window.weights[places][:, :, None] * window.rows[places][:, :, -m:]
         map_ = -(weighted.reshape(-1, m) @ gain.T).T.reshape(n + 1, last, n)
+        # What late efforts do not show yet may be anything: these balances count as they are.
+        map_[:, max(last - self.ring.unseen, 0) :] = 0.0
         from_past = -gain[:, n:] @ _eliminated(window.past, null)
         response = map_.reshape(n + 1, -1) @ self.ring.effects[places].reshape(last * n, -1)
         response += from_past @ self.ring.right
-        slack = np.einsum('fbi,bi->f', np.abs(map_), self.ring.doubts[places, 0])
+        slack = np.einsum('fbi,bi->f', np.abs(map_), self.ring.doubts[places, ::2].sum(1))
         # For right sides A^T W e of the past: (d A^T W e)^2 <= (d A^T W A d)(e^T W e).
         size = np.einsum('fa,ab,fb->f', gain[:, n:], null.recalled[1 + n :, n:], gain[:, n:])
         size = np.maximum(size, 0.0)
