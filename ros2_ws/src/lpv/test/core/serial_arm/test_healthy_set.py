@@ -4,12 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from fault_injection import with_joints
+from fault_injection import with_joints, with_sensors
 from serial_arms import answered, shoulder_arm, watch
 from simulated_runs import Push, simulated_run
 from watched import Watched
 
 from lpv import Fault, load_arm
+from lpv.campaign.falsify.attack import Attack, Attacker
 from lpv.core.monitoring import alarm_text, message_fields
 from lpv.core.serial_arm import description, simulation
 from lpv.core.serial_arm.certificate.jump_bound import NET_TORQUE, jump_bound
@@ -174,6 +175,21 @@ def test_given_efforts_as_late_as_stated_when_moved_then_thresholds_hold(late, s
     """What is quadratic in the delay counts, too."""
     arm = with_joints(CLOSE, effort_delay=late)
     assert max(largest_ratio(arm, swing, speed, way * late, seconds=4.0) for way in (-1, 1)) < 1.0
+
+
+@pytest.mark.parametrize(('rates', 'motion'), [
+    ('independent', [[3.0, 2.1], [0.1, 0.7], [0.25, 0.4], [1.3, -0.4]]),
+    ('derived', [[-2.7, 2.9], [0.35, 0.2], [0.3, 1.1], [0.6, 3.1]]),
+])  # fmt: skip
+def test_given_noise_of_rates_as_large_as_slow_motion_when_healthy_then_thresholds_hold(
+    rates, motion
+):
+    """Noise that columns and residual share does not average out."""
+    attacker = Attacker(with_sensors(load_arm('paper'), rates=rates), 8.0)
+    joints, corner = [*motion, *np.zeros((3, 2)).tolist()], [1.0] * attacker.range.count
+    attack = Attack(joints, 0.0, 99.0, 0.0, 0.0, 0.0, corner, ['', ''], [0.0, 0.0], seed=0)
+    found = attacker.run(attack)
+    assert 0.5 < found.ratio < 1.0
 
 
 def test_given_a_rotor_that_couples_joints_then_its_effect_is_that_of_both():

@@ -25,6 +25,7 @@ from lpv.core.serial_arm.diagnosis.estimator import (
 )
 from lpv.core.serial_arm.diagnosis.healthy_set import HealthyRing, take_healthy
 from lpv.core.serial_arm.diagnosis.information import NEXT, Window, slot
+from lpv.core.serial_arm.diagnosis.published_rates import readings_at_edges
 from lpv.core.serial_arm.diagnosis.sampler import BLOCKS, JITTER, PROBED, Sampler, readings_in_jump
 from lpv.core.support.jit import njit_in_place
 from lpv.core.support.records import record_type
@@ -219,10 +220,8 @@ def decide(parts: Parts) -> None:
     if state.stage == _TAKE:
         _copy_recent(parts.sampler, parts.recent)
         if state.guarantees:
-            half = parts.recent.shape[0] // 2
-            take_healthy(
-                parts.healthy, window, parts.balance.hat.rows, parts.recent, half, state.learns
-            )
+            edges = readings_at_edges(parts.sampler)
+            take_healthy(parts.healthy, window, parts.balance, parts.recent, edges, state.learns)
         take_balances(horizon, parts.balance, state.now, state.learns)
         if leave_out_missing(window, parts.sampler, state.held):
             weigh_all(horizon, 1)

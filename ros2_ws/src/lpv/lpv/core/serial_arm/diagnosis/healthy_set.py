@@ -4,9 +4,11 @@ The estimated offsets are a linear map of the balances in the horizon and of tho
 healthy arm's balances are sum_k z_k E_k + noise + slack (`healthy_balance`), abs(z_k) <= 1 and z_k
 constant.  So
 
-    abs(f^_i) <= sum_k abs(sum_b l_ib E_bk) + sum_b abs(l_ib) slack_b + sigmas sd(noise) + rest
+    abs(f^_i) <= sum_k abs(sum_b l_ib E_bk) + sum_b abs(l_ib) slack_b
+                 + abs(mean(noise)) + sigmas sd(noise) + rest
 
 with l_i the estimator's own weights: what it has learned of the arm, z_k do not disturb any more.
+The mean of the noise is not zero, as that of rates is in the weights, too (errors in variables).
 The rest is known: where the estimator linearised elsewhere than at the readings.  The slack of what
 is remembered is bounded by the inequality of Cauchy and Schwarz.
 """
@@ -18,7 +20,7 @@ import numpy as np
 
 from lpv.core.serial_arm.chain import FloatArray, IntArray, compile_chain
 from lpv.core.serial_arm.description import SIGMAS, SerialArm
-from lpv.core.serial_arm.diagnosis.balance import READINGS_AT_EDGES
+from lpv.core.serial_arm.diagnosis.balance import READINGS_AT_EDGES, Balance, noise_products
 from lpv.core.serial_arm.diagnosis.estimator import PAST_WEIGHT, OffsetEstimator, Posterior
 from lpv.core.serial_arm.diagnosis.hat import drop_hat
 from lpv.core.serial_arm.diagnosis.healthy_balance import (
@@ -85,7 +87,10 @@ class HealthyRing(NamedTuple):
     effects: FloatArray  # (capacity, n, 1 + k) residual, then the effect of each generator
     doubts: FloatArray  # (capacity, 3, n) as of `close_healthy_interval`
     unseen: int  # balances whose torques late efforts may still be about to show
-    right: FloatArray  # (m, 1 + k) A^T W E of what is remembered
+    # (capacity, n, m) mean that noise of rates gives to the unknowns' columns times the residual
+    products: FloatArray
+    # (m, 2 + k) of what is remembered: A^T W E, then the weighted sum of these means
+    right: FloatArray
     past: FloatArray  # (2,) see `SLACK`
     block_noise: FloatArray  # (n,) standard deviation of mean joint rates of a block [rad/s]
     mean_reading: FloatArray  # (n,) of mean readings of an interval [rad]
@@ -97,22 +102,28 @@ class HealthyRing(NamedTuple):
 def take_healthy(
     ring: HealthyRing,
     window: Window,
-    rows: FloatArray,
+    balance: Balance,
     blocks: FloatArray,
-    per_interval: int,
+    edges: float,
     learn: bool,
 ) -> None:
-    """Take the balance that the horizon's ``window`` is about to take.
+    """Take the ``balance`` that the horizon's ``window`` is about to take.
 
-    ``rows`` are those of the balance, ``blocks``, shape (2 B, 3 n + 4), those of its two intervals
-    of B blocks.  What leaves the horizon is remembered if ``learn``.
+    ``blocks``, shape (2 B, 3 n + 4), are those of its two intervals of B blocks, ``edges`` as of
+    `readings_at_edges`.  What leaves the horizon is remembered if ``learn``.
     """
-    capacity, last = ring.effects.shape[0], blocks.shape[0] - per_interval
+    capacity, last = ring.effects.shape[0], blocks.shape[0] // 2
     if ring.balance.hat.length[0] == 0.0:
-        _add(ring, rows, blocks[:last], 0)
+        _add(ring, balance.hat.rows, blocks[:last], 0)
     if window.counters[COUNT] == capacity:
         remember(ring, window, slot(window, capacity - 1), learn, PAST_WEIGHT)
-    _add(ring, rows, blocks[last:], window.counters[NEXT] % capacity)
+    at, n = window.counters[NEXT] % capacity, ring.mean_noise.shape[0]
+    _add(ring, balance.hat.rows, blocks[last:], at)
+    # Poses change little within n balances: one sensor in each stands for all.
+    sensor = window.counters[NEXT] % n
+    means = edges if balance.derived[sensor] > 0.0 else 2.0
+    variance = n * means * ring.mean_noise[sensor] ** 2
+    noise_products(balance, sensor, variance, ring.products[at])
 
 
 @njit_in_place
@@ -145,8 +156,9 @@ def remember(ring: HealthyRing, window: Window, at: int, learn: bool, factor: fl
         ring.past[SLACK] += weight * slack * slack
         for a in range(m):
             share = weight * window.rows[at, i, first + a]
-            for c in range(columns):
+            for c in range(columns - 1):
                 ring.right[a, c] += share * ring.effects[at, i, c]
+            ring.right[a, columns - 1] += weight * ring.products[at, i, a]
         total = weight * ring.doubts[at, 1, i]
         for j in range(n):
             noise = 0.0
@@ -185,7 +197,7 @@ class HealthySet:
         self.ring = HealthyRing(
             self._balance, np.zeros((plan.capacity, n, columns)), np.zeros((plan.capacity, 3, n)),
             int(np.ceil((sizes.delay[0].max() - 0.5 * arm.sample_time) / plan.interval - SAME)),
-            np.zeros((m, columns)), np.zeros(2),
+            np.zeros((plan.capacity, n, m)), np.zeros((m, columns + 1)), np.zeros(2),
             np.sqrt(map_rows(self._balance.to_joints**2, by_sensor**2)),
             noise / np.sqrt(plan.per_block * plan.blocks),
             np.where(self._derived, reading / plan.interval, rate / np.sqrt(plan.blocks)),
@@ -215,10 +227,14 @@ class HealthySet:
         weighted = window.weights[places][:, :, None] * window.rows[places][:, :, -m:]
         map_ = -(weighted.reshape(-1, m) @ gain.T).T.reshape(n + 1, last, n)
         # What late efforts do not show yet may be anything: these balances count as they are.
-        map_[:, max(last - self.ring.unseen, 0) :] = 0.0
+        seen = places[: max(last - self.ring.unseen, 0)]
+        map_[:, len(seen) :] = 0.0
         from_past = -gain[:, n:] @ _eliminated(window.past, null)
         response = map_.reshape(n + 1, -1) @ self.ring.effects[places].reshape(last * n, -1)
-        response += from_past @ self.ring.right
+        remembered = from_past @ self.ring.right
+        response += remembered[:, :-1]
+        products = np.einsum('bi,bia->a', window.weights[seen], self.ring.products[seen])
+        mean = remembered[:, -1] - gain @ products
         slack = np.einsum('fbi,bi->f', np.abs(map_), self.ring.doubts[places, ::2].sum(1))
         # For right sides A^T W e of the past: (d A^T W e)^2 <= (d A^T W A d)(e^T W e).
         size = np.einsum('fa,ab,fb->f', gain[:, n:], null.recalled[1 + n :, n:], gain[:, n:])
@@ -229,7 +245,9 @@ class HealthySet:
         scale = self._estimator.balance.scale
         own = np.append(np.abs(np.diag(share)) * scale, 0.0)
         slack += LINEAR * (np.abs(share) @ scale - own)
-        noise = SIGMAS * np.sqrt(self._noise(map_, places) + self.ring.past[NOISE] * size)
+        # Of less noise than the file states the mean is less, too.
+        noise = np.abs(mean)
+        noise += SIGMAS * np.sqrt(self._noise(map_, places) + self.ring.past[NOISE] * size)
         estimate = wanted @ null.mean
         effects, rest = response[:, 1:], np.abs(estimate - response[:, 0])
         doubt = slack + noise + rest

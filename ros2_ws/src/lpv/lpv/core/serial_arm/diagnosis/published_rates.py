@@ -119,13 +119,17 @@ def balance_lag(sampler: Sampler) -> float:
 def rate_noise(sampler: Sampler, i: int, interval: float) -> float:
     """Variance of what noise of a reading makes of a balance's change of its rate [rad2/s2].
 
-    Balances are of intervals of a length [s].  Rates between two differences hold two readings in
-    place of each.  Before the noise is known, it is more.
+    Balances are of intervals of a length [s].  Before the noise is known, it is more.
     """
+    reading = sampler.calm[i] / readings_in_jump(sampler, i) / (interval * interval)
+    return float(sampler.derived[i] * readings_at_edges(sampler) * reading)
+
+
+@njit_in_place
+def readings_at_edges(sampler: Sampler) -> float:
+    """`READINGS_AT_EDGES`, but rates between two differences hold two readings in place of each."""
     lag = balance_lag(sampler)
-    share = ((1.0 - lag) * (1.0 - lag) + lag * lag) / (interval * interval)
-    reading = sampler.calm[i] / readings_in_jump(sampler, i)
-    return float(sampler.derived[i] * READINGS_AT_EDGES * share * reading)
+    return READINGS_AT_EDGES * ((1.0 - lag) * (1.0 - lag) + lag * lag)
 
 
 @njit_in_place
