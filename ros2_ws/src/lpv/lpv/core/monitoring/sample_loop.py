@@ -24,7 +24,7 @@ from lpv.core.uio.unknown_input_observer import UioParts, uio_answers
 UNWATCHED = round(STARTS[-1] * NANOSECONDS)
 """Time without a complete balance after which faults may have begun that are never found [ns]."""
 OK, NOT_DIAGNOSABLE = int(SensorState.OK), int(SensorState.NOT_DIAGNOSABLE)
-_BEGIN, _DONE, _OBSERVING = int(Stage.BEGIN), int(Stage.DONE), int(Mode.OBSERVING)
+_TAKE, _DONE, _OBSERVING = int(Stage.TAKE), int(Stage.DONE), int(Mode.OBSERVING)
 
 
 class Phase(IntEnum):
@@ -97,11 +97,10 @@ def advance(
             answered = taken - 1 if complete or jumped else taken
             part = progress.answered, answered
             fill_answers(one.work, rows, first, part, stamps, samples, one.known, one.flags[0])
-            if state.uses_balances:  # the designed observer needs efforts that hold the weight
-                uio_answers(one.uio, rows, first, part, stamps, samples)
+            uio_answers(one.uio, rows, first, part, stamps, samples)
             progress.complete, progress.jumped, progress.touched = complete, jumped, False
             progress.taken, progress.answered, progress.phase = taken, answered, REPORT
-            state.stage = _BEGIN if complete else _DONE
+            state.stage = _TAKE if complete else _DONE
         if progress.phase == REPORT:
             last = progress.answered - 1
             if progress.reported <= last and stamps[last] >= progress.next_report:
@@ -141,5 +140,4 @@ def _know_nothing_wrong(parts: Parts, one: Answering, stamp: int) -> None:
         known.is_error[i] = False
         known.state[i] = NOT_DIAGNOSABLE if sigma > widest * parts.balance.scale[i] else OK
     flags.stamp, flags.trustworthy, flags.inconsistent = stamp, True, False
-    if state.uses_balances:
-        flags.mode, flags.until = _OBSERVING, stamp + UNWATCHED
+    flags.mode, flags.until = _OBSERVING, stamp + UNWATCHED

@@ -645,10 +645,8 @@ class SerialSensorMonitor:
         if text := other_unit(self.arm, position, position):
             return _UNITS.format(text)
         missing = monitor.missing_efforts
-        if missing.all():
-            return _NO_EFFORT
-        if not monitor.uses_balances:
-            return _NO_WEIGHT
+        if missing.all() and not monitor.suspects:
+            return _NO_EFFORT if self.arm.effort_includes_gravity else _NO_WEIGHT
         if not monitor.balances and self.counters.gaps - self._gaps_before > LONGEST_STEP:
             return _TOO_RARE
         if self._losses:

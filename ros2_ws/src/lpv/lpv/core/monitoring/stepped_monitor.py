@@ -60,7 +60,9 @@ class SteppedMonitor(SerialMonitor):
     ) -> None:
         self._uio = uio
         self._call = Entries()
-        self._efforts = np.array([joint.torque_gain for joint in arm.joints])
+        # Efforts that leave out the weight are none: dynamics without it are not those of an arm.
+        known = 1.0 if arm.effort_includes_gravity else np.nan
+        self._efforts = known * np.array([joint.torque_gain for joint in arm.joints])
         super().__init__(arm, parameters)
         if uio is not None:
             uio.retune(self.settings.sigmas)
@@ -226,7 +228,7 @@ class SteppedMonitor(SerialMonitor):
         flags['stamp'], flags['mode'] = stamp, self._mode()
         flags['trustworthy'] = self._can_be_compensated(is_error, left)
         flags['inconsistent'] = bool(self.suspects)
-        flags['until'] = self._balanced + UNWATCHED if self.uses_balances else np.iinfo(int).max
+        flags['until'] = self._balanced + UNWATCHED
         flags['fading'] = settings.compensation_rate
         if self._uio is not None:
             # An offset from the start is not in the set: its estimate is on its way.
@@ -234,8 +236,6 @@ class SteppedMonitor(SerialMonitor):
             self._uio.rely(self.rates_are_right and not doubtful)
 
     def _mode(self) -> Mode:
-        if not self.uses_balances:
-            return Mode.HOLDING
         return Mode.OBSERVING if self.balances else Mode.INITIALISING
 
     def _can_be_compensated(self, is_error: BoolArray, sigma: FloatArray) -> bool:
@@ -258,7 +258,7 @@ class SteppedMonitor(SerialMonitor):
         torques miss may be more than that, as of wrists with friction and hardly any inertia.
         """
         usual = USUAL_ACCELERATION * self.scales
-        if not (self.uses_balances and len(self.estimator)):
+        if not len(self.estimator):
             return np.zeros(self.joints), usual**2
         if self.sampler.noisy.any():  # then it counts
             usual = np.array([self.readings.acceleration(i) for i in range(self.joints)])

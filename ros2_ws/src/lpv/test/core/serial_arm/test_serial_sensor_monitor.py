@@ -217,6 +217,20 @@ def test_given_no_efforts_or_none_of_the_weight_then_no_offsets_are_diagnosable(
     assert said in answers.reports[0][1][0]['message']
 
 
+@pytest.mark.parametrize(('fault', 'named', 'said'), [
+    (Fault('encoder2', 'stuck', 2.0), [('encoder2', 'stuck')], 'leave out the weight'),
+    (Fault('encoder2', 'drift', 2.0, rate=0.3), [], 'encoder2:drift, encoder2:rate_bias'),
+])  # fmt: skip
+def test_given_no_efforts_of_the_weight_when_a_reading_contradicts_its_own_rate_then_it_is_said(
+    fault, named, said
+):
+    arm = replace(shoulder_arm('independent'), effort_includes_gravity=False)
+    run = simulated(arm, fault, duration=4.0)
+    _, answers = observe(run.stamps + 5, run.samples, SerialSensorMonitor('/uio', arm))
+    assert [(event.sensor, event.kind) for _, event in answers.events] == named
+    assert said in answers.reports[-1][1][0]['message']
+
+
 @pytest.mark.parametrize(
     ('joint', 'span', 'effort'),
     [

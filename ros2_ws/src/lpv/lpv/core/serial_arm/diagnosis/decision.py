@@ -34,25 +34,24 @@ from lpv.core.support.records import record_type
 class Stage(IntEnum):
     """Where in a decision to go on; Python does those that say so, if they are due."""
 
-    BEGIN = 0
-    TAKE = 1  # the balance joins the horizon
-    FOLLOW = 2  # Python: faults that are followed
-    ESTIMATE = 3
-    LINEARISE = 4  # Python: the estimate has left the point of linearisation
-    ENDS = 5  # Python: jumps that may have been ends of faults
-    GUARANTEE = 6  # Python: guaranteed thresholds are due
-    REST = 7  # Python: readings rest
-    ASK = 8
-    NAME = 9  # Python: hypotheses are compared, or suspects are none any more
-    LEVELS = 10
-    RAISE = 11  # Python: offsets are beyond what a healthy arm shows
-    END = 12  # Python: faults that may be over
-    RATES = 13  # Python: whether rates are derived from readings
-    DONE = 14
+    TAKE = 0  # the balance joins the horizon
+    FOLLOW = 1  # Python: faults that are followed
+    ESTIMATE = 2
+    LINEARISE = 3  # Python: the estimate has left the point of linearisation
+    ENDS = 4  # Python: jumps that may have been ends of faults
+    GUARANTEE = 5  # Python: guaranteed thresholds are due
+    REST = 6  # Python: readings rest
+    ASK = 7
+    NAME = 8  # Python: hypotheses are compared, or suspects are none any more
+    LEVELS = 9
+    RAISE = 10  # Python: offsets are beyond what a healthy arm shows
+    END = 11  # Python: faults that may be over
+    RATES = 12  # Python: whether rates are derived from readings
+    DONE = 13
 
 
 (
-    _BEGIN, _TAKE, _FOLLOW, _ESTIMATE, _LINEARISE, _ENDS, _GUARANTEE, _REST, _ASK, _NAME, _LEVELS,
+    _TAKE, _FOLLOW, _ESTIMATE, _LINEARISE, _ENDS, _GUARANTEE, _REST, _ASK, _NAME, _LEVELS,
     _RAISE, _END, _RATES, _DONE,
 ) = map(int, Stage)  # fmt: skip
 STILL_TIME = INTERVAL
@@ -69,7 +68,6 @@ DECISION = record_type(
     ('pushed', '?'),  # ... or torques from outside are
     ('active', '?'),  # alarms are up that may end
     ('usual', '?'),  # nothing of all this, and no alarm
-    ('uses_balances', '?'),  # whether balances say anything
     ('threshold', 'f8'),  # of the statistic
     ('limits', 'f8', (7,)),  # as of `find_levels`
     ('sample_time', 'f8'),  # [s]
@@ -215,8 +213,6 @@ def decide(parts: Parts) -> None:
     state, horizon, bank = parts.state[0], parts.horizon, parts.bank
     window, null, level, interval = horizon.window, horizon.null, horizon.level, bank.interval
     plan = interval, round(interval / state.sample_time)
-    if state.stage == _BEGIN:
-        state.stage = _TAKE if state.uses_balances else _END
     if state.stage == _TAKE:
         _copy_recent(parts.sampler, parts.recent)
         if state.guarantees:

@@ -261,11 +261,6 @@ class SerialMonitor:
         """Joints whose efforts are missing in the newest balance, or later."""
         return np.asarray(self.sampler.measured < self._state['held'])
 
-    @property
-    def uses_balances(self) -> bool:
-        """Whether momentum balances say anything: the efforts have to hold the weight."""
-        return self.arm.effort_includes_gravity
-
     def _do_stage(self, now: float) -> None:
         """Do the stage of a decision at which `decide` left."""
         self._state['stage'] = self._steps[self._state['stage']](now)
@@ -274,7 +269,6 @@ class SerialMonitor:
     def _tell(self) -> None:
         """Say what decisions have to know."""
         state, suspects = self._state, bool(self.suspects)
-        state['uses_balances'] = self.uses_balances
         state['learns'] = not (suspects or self.followed.known)
         state['follows'] = len(self.followed) > 0
         state['ends'] = len(self._jumps) > 0
@@ -405,7 +399,7 @@ class SerialMonitor:
             self.bank.kinematics.note_jump(i, sigma**2)
             self.healthy = self.guarantee = None  # readings are changed
             return
-        if back is None and self.uses_balances:
+        if back is None:
             end = self._jumps.begin(i, size, sigma, self._freezes_again(i))
             sigma += float(self._undecided_sigma()[i])
             if sensor.active and end.share >= 1.0 - self.settings.probability_of_wrong_name:
