@@ -7,11 +7,12 @@ Every line is one cell: faults of one kind, of random joint, sign and time, `--c
 of them end and are followed by a second one, in the other half a second one comes while the first
 acts.  `first` = the first alarm names the faulty sensor, `in time` = within the limit of the line,
 `kind` = the last kind named while the fault acts is right, `size` = estimate within 0.1 rad 2 s
-after the onset, `trusted` = estimates beyond that which were said to be trustworthy, `other` = runs
-that blame a healthy sensor, `cleared` = no alarm 3 s after the end, of what was ever alarmed,
-`outside` = answers after the end that are trusted with an estimate outside its bound, `second`
-and `both` = the second fault found in time, after the end of the first one and beside it,
-`crash` = runs in which the monitor raised an exception.
+after the onset, `trusted` = estimates beyond that which were said to be trustworthy, `beyond` =
+those that are outside their bound, too, `other` = runs that blame a healthy sensor, `cleared` = no
+alarm 3 s after the end, of what was ever alarmed, `outside` = answers after the end that are
+trusted with an estimate outside its bound, `second` and `both` = the second fault found in time,
+after the end of the first one and beside it, `crash` = runs in which the monitor raised an
+exception.
 
 `--bound` runs no diagnosis: it prints the shares of offsets from the start, of drifts and of scale
 errors, rates derived, that the data show in time, and of drifts that they tell from a push, too, as
@@ -57,6 +58,7 @@ SHARES: dict[str, Callable[[Verdict], float | None]] = {
     'kind_right': lambda v: v.kind_right,
     'size': lambda v: None if v.error is None else v.error <= CLOSE,
     'trusted': lambda v: None if v.error is None else v.error > CLOSE and v.trusted,
+    'beyond': lambda v: None if v.error is None else v.error > max(CLOSE, v.bound) and v.trusted,
     'other': lambda v: v.other,
     'cleared': lambda v: v.cleared,
     'outside': lambda v: v.outside,
@@ -135,8 +137,8 @@ def print_comparison(rows: Iterable[Row], bar: Iterable[Row], console: Console) 
 HEADINGS = {
     'kind': 'kind', 'count': 'n', 'first': 'first', 'in_time': 'in time',
     'kind_right': 'kind', 'delay': 'delay [s]', 'size': 'size', 'error': 'error [rad]',
-    'trusted': 'trusted', 'other': 'other', 'events': 'events', 'cleared': 'cleared',
-    'outside': 'outside',
+    'trusted': 'trusted', 'beyond': 'beyond', 'other': 'other', 'events': 'events',
+    'cleared': 'cleared', 'outside': 'outside',
     'second': 'second', 'both': 'both', 'crash': 'crash',
 }  # fmt: skip
 
