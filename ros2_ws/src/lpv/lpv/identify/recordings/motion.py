@@ -108,10 +108,10 @@ def _resample(recording: Recording, part: np.ndarray, step: float) -> Segment:
 
 
 def check_efforts(segments: Sequence[Segment], names: tuple[str, ...]) -> None:
-    """IdentificationError for joints without efforts, in which all else would look wrong."""
-    effort = np.concatenate([s.effort for s in segments])
-    constant = [name for name, span in zip(names, np.ptp(effort, axis=0)) if not span]
-    if constant:
+    """IdentificationError for joints that were moved without efforts: all else would look wrong."""
+    way = np.ptp(np.concatenate([s.position for s in segments]), axis=0)
+    span = np.ptp(np.concatenate([s.effort for s in segments]), axis=0)
+    if constant := [name for name, idle in zip(names, (span == 0.0) & (way > SMALL)) if idle]:
         raise IdentificationError(
             f'efforts of {", ".join(constant)} never change, as without a sensor; torques or '
             'currents of all motors must be recorded'
