@@ -117,7 +117,7 @@ recordings BAG|CSV+    recordings of the moving arm: rosbag2 folder, .mcap, .db3
 --out ARM.yaml         arm file to write
 --report DIR           folder for the report with pictures
 --name NAME            name of the arm (the URDF's)
---base-rpy ROLL PITCH YAW:float  how the base is mounted, z up if not given [rad]
+--base-rpy ROLL PITCH YAW:float[-6.3:6.3]  how the base is mounted, z up if not given [rad]
 --effort-unit {Nm,A}   unit of the efforts; A: gains are estimated
 --gain K:float+        joint torque per unit of effort, one for all joints or one each
 --without-gravity      efforts do not contain the torque that holds the weight (found from the data)
@@ -142,7 +142,7 @@ recordings BAG|CSV+    recordings of the moving arm: rosbag2 folder, .mcap, .db3
 --out FOLDER!       folder to create: trajectory.csv, trajectory.yaml, reference bag, scenario.yaml
 --duration=30.0[5:600]  in seconds
 --rate=100.0[10:2000]  samples per second
---center ANGLE:float+  middle of the motion (that of the joints' ranges) [rad]
+--center ANGLE:float[-1e3:1e3]+  middle of the motion (that of the joints' ranges) [rad]
 --reach=1.5[0.05:3.2]  largest way of a joint from the middle [rad]
 --speed-share=0.6[0.01:1]  share of the velocity limits that is used
 --torque-share=0.8[0.01:1]  share of the torque limits that is used

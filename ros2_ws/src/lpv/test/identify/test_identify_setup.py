@@ -262,6 +262,7 @@ def test_given_what_does_not_fit_when_identified_then_it_is_said_before_the_fit(
     ('--calibrate --report folder', 'report'), ('--payload --test other.csv', 'test'),
     ('--calibrate --refit', 'refit'), ('--calibrate --known-mass 2', 'known-mass'),
     ('--known-mass 2', 'known-mass'), ('--lock one', 'lock'), ('--joints one', 'joints'),
+    ('--second-encoder one', 'second-encoder'), ('--base-rpy 0 nan 0', 'base-rpy'),
     ('--tip link', 'tip'), *((f'--gain {gain}', 'gain') for gain in ('nan', 'inf', '1e308', '0')),
 ])  # fmt: skip
 def test_given_an_option_without_effect_or_no_gain_when_identified_then_it_is_refused(

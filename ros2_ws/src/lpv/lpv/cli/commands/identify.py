@@ -24,7 +24,7 @@ from lpv.identify.estimation.payload import identify_payload, with_payload
 from lpv.identify.estimation.torque_error import calibrate
 from lpv.identify.recordings.recording import Recording, continued, read_recording
 from lpv.identify.results.summary import calibration_table, table
-from lpv.identify.sensors import describe, find_second_encoders, with_second_encoders
+from lpv.identify.sensors import SecondReading, describe, find_second_encoders, with_second_encoders
 
 _LARGEST_GAIN = 1e6
 """Joint torque per unit of effort that an arm file may have [N m per unit]."""
@@ -51,6 +51,8 @@ def run(arguments: argparse.Namespace) -> int:
             if joint.is_prismatic and columns.units.get(joint.name) == 'deg':
                 field = f'joints.{joint.name}.unit'
                 raise ConfigError(field, 'must be m: it is prismatic', arguments.columns)
+
+    second = _second_encoders(arguments, arm, columns)
 
     def read(path: str) -> Recording:
         return continued(arm, read_recording(path, arm.joint_names, arguments.topic, columns))
@@ -82,7 +84,7 @@ def run(arguments: argparse.Namespace) -> int:
         print(table(result))
         _warn(result.warnings)
         arm = result.arm
-    arm = _with_second_encoders(arguments, arm, columns)
+    arm = with_second_encoders(arm, second)
     if arguments.out:
         save_arm(arm, arguments.out)
         print(f'{what} written to {arguments.out}')
@@ -93,10 +95,10 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _with_second_encoders(
+def _second_encoders(
     arguments: argparse.Namespace, arm: SerialArm, columns: ColumnMap | None
-) -> SerialArm:
-    """The arm with the second encoders that were named; says what they are."""
+) -> list[SecondReading]:
+    """The second encoders that were named; says what they are."""
     pairs = {}
     for text in arguments.second_encoder:
         joint, _, name = text.partition('=')
@@ -104,12 +106,12 @@ def _with_second_encoders(
             raise ConfigError('--second-encoder', f'{text!r} is not JOINT=NAME')
         pairs[joint] = name
     if not pairs:
-        return arm
+        return []
     found = find_second_encoders(arguments.recordings[0], pairs, arguments.topic, columns)
     arm, units = with_second_encoders(arm, found), dict(zip(arm.joint_names, arm.position_units))
     for reading in found:
         print(describe(reading, units[reading.joint]))
-    return arm
+    return found
 
 
 def _arm(arguments: argparse.Namespace) -> SerialArm:

@@ -100,7 +100,7 @@ def declare(parser: argparse._ActionsContainer, table: str) -> None:
 
 
 class _Within(argparse.Action):
-    """Takes a number within a range; ConfigError for others."""
+    """Takes numbers within a range; ConfigError for others."""
 
     def __init__(self, low: float, high: float, **options: Any) -> None:
         super().__init__(**options)
@@ -108,7 +108,8 @@ class _Within(argparse.Action):
 
     def __call__(self, parser: Any, namespace: Any, values: Any, option: Any = None) -> None:
         low, high = self._range
-        if not low <= values <= high:
-            reason = f'must lie within {low:g} and {high:g}, got {values:g}'
-            raise ConfigError(option or self.dest, reason)
+        for value in values if isinstance(values, list) else [values]:
+            if not low <= value <= high:
+                reason = f'must lie within {low:g} and {high:g}, got {value:g}'
+                raise ConfigError(option or self.dest, reason)
         setattr(namespace, self.dest, values)
