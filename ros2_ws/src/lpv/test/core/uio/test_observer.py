@@ -11,6 +11,7 @@ from planar_formulas import inertia, inverse_dynamics, scheduling, weights
 
 from lpv.core.serial_arm.diagnosis.alarms import Mode
 from lpv.core.support import records, timestamps
+from lpv.core.uio.bound import zonotope
 from lpv.core.uio.model.joints import JointMap
 from lpv.core.uio.model.polytope import paper_descriptor, sinc_box
 from lpv.core.uio.observer import paper_observer, sampled_observer
@@ -301,3 +302,20 @@ def test_given_a_rate_that_no_arm_has_when_taken_then_no_estimate_is_made_up(obs
         estimate = update(observer, k * TS, position, velocity + [size * (k == 20), 0.0], effort)
         vectors = [] if estimate is None else [estimate.position, estimate.velocity, estimate.x]
         assert all(np.isfinite(one).all() for one in vectors)
+
+
+@given(st.integers(zonotope.KEPT, zonotope.COLUMNS), st.integers(0, 10**6), st.integers(0, 6))
+def test_given_columns_of_a_zonotope_when_reduced_then_the_largest_stay_in_a_set_as_wide(
+    count, seed, digits
+):
+    columns = np.zeros((zonotope.SIZE, zonotope.COLUMNS))
+    given = np.random.default_rng(seed).normal(size=(zonotope.SIZE, count)).round(digits)
+    columns[:, :count] = given  # many of the same size
+    scratch = np.zeros(zonotope.COLUMNS), np.zeros(zonotope.SIZE)
+    used = zonotope.reduce_columns(columns, count, *scratch)
+    largest = np.sort(np.abs(given).sum(axis=0))[-zonotope.KEPT :]
+    kept, left = columns[:, : zonotope.KEPT], columns[:, zonotope.KEPT : used]
+    np.testing.assert_allclose(np.sort(np.abs(kept).sum(axis=0)), largest, atol=1e-12)
+    assert (left == np.diag(np.diag(left))).all()
+    wide = np.abs(columns[:, :used]).sum(axis=1)
+    np.testing.assert_allclose(wide, np.abs(given).sum(axis=1), atol=1e-12)
