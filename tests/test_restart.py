@@ -245,7 +245,10 @@ def test_given_real_time_when_nodes_are_killed_then_the_arm_brakes_and_goes_on(t
         assert_brakes(rig, rig.kill('tracker'))
         assert_recovers(rig, 'tracker', FOLLOWING, COMMANDED)
 
-        rig.logged('tracker', 'safe stop: no estimates', rig.kill('simulator'))
+        death = rig.kill('simulator')
+        rig.logged('tracker', 'safe stop: no estimates', death)
+        # A simulator that is back before is none that measurements have to flow from again.
+        rig.logged('uio', 'diagnosis is stale', death)
         assert_recovers(rig, 'simulator', MEASURED, COMMANDED)
         ros.end(rig.running)
     assert_no_leap(rig)
