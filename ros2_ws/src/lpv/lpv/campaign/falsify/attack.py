@@ -113,6 +113,7 @@ class Attacker:
         self._around, sensors = self.range.around, [joint.sensors for joint in arm.joints]
         self._samples = np.zeros((count + 2 * self._around, 3, n))
         self.samples = self._samples[self._around : self._around + count]
+        self._per_interval = HorizonPlan.of(arm.sample_time).per_interval
         noise = np.array([[one.velocity_noise, one.position_noise] for one in sensors])
         self._still = 0.1 * (noise / [1.0, 0.01]).min(1)  # of blocks of 10 ms
         chain = self.range.chain
@@ -180,7 +181,7 @@ class Attacker:
         signs = [[1.0 if sign == '+' else -1.0 for sign in each] for each in attack.signs]
         course = healthy_run.Course(
             self.range.to_joint, np.array(attack.joints), self.range.tolerance,
-            np.array(signs).reshape(n, -1).T.copy(), _interval(arm), self._still, self._around,
+            np.array(signs).reshape(n, -1).T.copy(), self._per_interval, self._still, self._around,
             attack.disturbance, attack.rest, attack.switch_speed, attack.switch_phase,
             attack.rate_switch)  # fmt: skip
         plant = self._plant._replace(chain=self.range.member(shares))
@@ -204,12 +205,6 @@ class Attacker:
 
 def _geometric(share: FloatArray, low: float, high: float) -> FloatArray:
     return np.asarray(low * (high / low) ** (0.5 * (share + 1.0)))
-
-
-def _interval(arm: SerialArm) -> int:
-    """Samples of an interval of the balances."""
-    plan = HorizonPlan.of(arm.sample_time)
-    return plan.per_block * plan.blocks
 
 
 def effort_of(efforts: FloatArray, late: float, filtered: float) -> FloatArray:
@@ -379,7 +374,8 @@ class _StatedRange:
     def _signs(self, weights: FloatArray, count: int) -> list[str]:
         """Signs of the weights (b, n) of an interval, which is in two balances, until a sample."""
         each = np.vstack([weights, 0.0 * weights[:1]]) + np.vstack([0.0 * weights[:1], weights])
-        before = max((count - 1 - DELAY) // _interval(self.arm) - len(each), 0)
+        length = HorizonPlan.of(self.arm.sample_time).per_interval
+        before = max((count - 1 - DELAY) // length - len(each), 0)
         each = np.pad(each, ((before, 0), (0, 0)), 'edge')
         return [''.join('+' if one > 0.0 else '-' for one in column) for column in each.T]
 

@@ -167,8 +167,7 @@ class SerialSensorMonitor:
         self._turns = Turns(arm)
         self._read = Driver(np.full(self._joints, np.nan), np.zeros(1, np.int64))
         self._small = SMALL * arm.scales()
-        plan = self._monitor.plan
-        self._efforts = IdleSignal(self._small, plan.per_block * plan.blocks)
+        self._efforts = IdleSignal(self._small, self._monitor.plan.per_interval)
         self._rates = IdleSignal(self._small, given=bool(self._independent.any()))
         self._patience = NEVER  # since the last use; when it ends [ns]
         self._begin()

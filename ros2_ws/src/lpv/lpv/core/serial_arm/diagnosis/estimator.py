@@ -107,6 +107,11 @@ class HorizonPlan:
         length = per_block * blocks * sample_time
         return HorizonPlan(per_block, blocks, length, max(NOISE_SAMPLES, round(HORIZON / length)))
 
+    @property
+    def per_interval(self) -> int:
+        """Samples of an interval."""
+        return self.per_block * self.blocks
+
 
 class Posterior(NamedTuple):
     """Estimate of m offsets and parameters of n joints from all balances of the horizon."""

@@ -199,7 +199,7 @@ class HealthySet:
             int(np.ceil((sizes.delay[0].max() - 0.5 * arm.sample_time) / plan.interval - SAME)),
             np.zeros((plan.capacity, n, m)), np.zeros((m, columns + 1)), np.zeros(2),
             np.sqrt(map_rows(self._balance.to_joints**2, by_sensor**2)),
-            noise / np.sqrt(plan.per_block * plan.blocks),
+            noise / np.sqrt(plan.per_interval),
             np.where(self._derived, reading / plan.interval, rate / np.sqrt(plan.blocks)),
             READINGS_AT_EDGES if self._derived.any() else 2.0)  # fmt: skip
 

@@ -214,7 +214,7 @@ class KinematicRows:
         latest = (LATE * arm.sample_time) ** 2 / plan.per_block
         self.parts = Kinematics(
             np.zeros((most, n)), np.zeros((most, n)), np.zeros((most + 1, n)),
-            np.zeros(1, np.int64), np.zeros((2 + DELAY // (plan.per_block * plan.blocks), n)),
+            np.zeros(1, np.int64), np.zeros((2 + DELAY // plan.per_interval, n)),
             independent, independent.copy(),
             2.0 * reading / plan.per_block + least**2, rate**2 * arm.sample_time,
             np.maximum(RATE_BIAS * rate, 4.0 * least), np.ones(n), np.zeros(1),

@@ -219,7 +219,7 @@ class SerialMonitor:
         self.suspects: tuple[str, ...] = ()
         self._suspected = np.zeros(n)  # sizes of the faults among these [rad]
         self._stuck: list[Hypothesis] = []
-        held = 2 * self.plan.per_block * self.plan.blocks + DELAY
+        held = 2 * self.plan.per_interval + DELAY
         self._memory = new_record(DECISION, sample_time=arm.sample_time, held=held)
         self._state, self._beyond = plain(self._memory), np.zeros((2, n))
         self._recent = np.zeros((2 * self.plan.blocks, 3 * n + 4))
