@@ -110,12 +110,12 @@ class Attacker:
         self.numbers = _MOTION * n + _SHARED + self.range.own
         count = max(2, round(duration / arm.sample_time))
         # Efforts that are early or late tell of others.
-        self._around, sensors = self.range.around, [joint.sensors for joint in arm.joints]
+        self._around, sensors = self.range.around, arm.sensors()
         self._samples = np.zeros((count + 2 * self._around, 3, n))
         self.samples = self._samples[self._around : self._around + count]
         self._per_interval = HorizonPlan.of(arm.sample_time).per_interval
-        noise = np.array([[one.velocity_noise, one.position_noise] for one in sensors])
-        self._still = 0.1 * (noise / [1.0, 0.01]).min(1)  # of blocks of 10 ms
+        blocks = sensors.position_noise / 0.01  # of 10 ms
+        self._still = 0.1 * np.minimum(sensors.velocity_noise, blocks)
         chain = self.range.chain
         scenario = Scenario('attack', duration, 0, (), (), disturbance=gains is not None)
         constants = plant_constants(arm, scenario, chain, margin=2)  # corners are stiffer
