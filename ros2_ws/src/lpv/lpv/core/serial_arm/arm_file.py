@@ -163,14 +163,8 @@ def save_arm(arm: SerialArm, path: str | Path) -> None:
     """
     path, content = Path(path), to_mapping(arm)
     parse_arm(content, f'{path} is not written', path.parent)
-    text = yaml.dump(
-        content,
-        Dumper=_Dumper,
-        sort_keys=False,
-        width=110,
-        default_flow_style=False,
-        allow_unicode=True,
-    )
+    layout: dict[str, Any] = {'default_flow_style': None, 'width': math.inf}  # a matrix by rows
+    text = yaml.dump(content, Dumper=_Dumper, sort_keys=False, allow_unicode=True, **layout)
     write_whole(path, _HEADER + text)
 
 
@@ -189,14 +183,10 @@ def to_mapping(arm: SerialArm) -> dict[str, Any]:
 
 
 class _Dumper(yaml.SafeDumper):
-    """Safe dumper that writes lists of numbers in one line."""
+    """Safe dumper that writes what stands at several places at each."""
 
     def ignore_aliases(self, data: Any) -> bool:
         return True
-
-    def represent_sequence(self, tag: str, sequence: Any, flow_style: bool | None = None) -> Any:
-        plain = all(isinstance(value, (int, float, str)) for value in sequence)
-        return super().represent_sequence(tag, sequence, flow_style=plain)
 
 
 def _joints(
