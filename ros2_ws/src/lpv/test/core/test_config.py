@@ -26,7 +26,7 @@ from lpv.core.support import config
 from lpv.core.support.config import MAX_DEPTH, MAX_VALUES, Section, read_yaml, sha256_of
 from lpv.core.support.errors import ConfigError, LpvError
 from lpv.core.support.resources import shipped_files
-from lpv.core.uio.certificate.gains import Gains, load_gains
+from lpv.core.uio.certificate.gains import Gains, load_certified, load_gains
 from lpv.core.uio.planar import planar_model
 from lpv_design.requirement import load_requirement, parse_requirement
 
@@ -256,11 +256,15 @@ def test_given_the_real_arm_when_read_then_it_is_as_published(real_model):
     assert parse_arm(changed(ARM, 'lpv.disturbance.mean', -0.2)).name == 'paper'
 
 
-def test_given_a_shipped_arm_when_written_then_its_file_reads_as_shipped(tmp_path):
-    for name, file in shipped_files('arms').items():
-        save_arm(load_arm(file), tmp_path / name)
-        shipped, written = (path.read_text() for path in (file, tmp_path / name))
-        assert shipped.partition('name: ')[2] == written.partition('name: ')[2]
+def test_given_shipped_arms_and_gains_when_written_then_their_files_read_as_shipped(tmp_path):
+    for kind, begin in (('arms', 'name: '), ('gains', '/**:')):
+        for name, file in shipped_files(kind).items():
+            if kind == 'arms':
+                save_arm(load_arm(file), tmp_path / name)
+            else:
+                load_certified(file).save(tmp_path / name)
+            shipped, written = (path.read_text() for path in (file, tmp_path / name))
+            assert shipped.partition(begin)[2] == written.partition(begin)[2]
 
 
 def test_given_an_older_file_when_read_then_it_is_the_same_arm(paper_arm, paper_gains, tmp_path):

@@ -99,7 +99,8 @@ def write_parameters(path: str | Path, parameters: dict[str, Any], comment: str 
     """
     head = ''.join(f'# {line}\n' for line in comment.splitlines())
     data = {'/**': {'ros__parameters': parameters}}
-    text = yaml.safe_dump(data, sort_keys=False, default_flow_style=None, width=100)
+    # A parameter in a line, however long it is.
+    text = yaml.safe_dump(data, sort_keys=False, default_flow_style=None, width=math.inf)
     Path(path).parent.mkdir(parents=True, exist_ok=True)
     write_whole(path, head + text)
 
