@@ -95,9 +95,7 @@ def test_given_the_demo_when_run_then_it_is_the_loop_without_nodes_and_all_files
 
 
 @pytest.mark.ros
-def test_given_a_signal_when_the_demo_runs_again_then_its_bag_begins_as_before_and_no_node_is_left(
-    demo, tmp_path
-):
+def test_given_a_signal_then_the_bag_begins_as_before_and_no_node_is_left(demo, tmp_path):
     """That others act alike, and nodes that die, are subjects of `test_commands`."""
     shutil.copy(demo[0] / 'gains.yaml', tmp_path)
     file = shortened(tmp_path, 'two_faults', 0.5, 0.8, duration=300.0)
@@ -118,9 +116,7 @@ def test_given_a_signal_when_the_demo_runs_again_then_its_bag_begins_as_before_a
 
 
 @pytest.mark.ros
-def test_given_a_serial_arm_when_shown_then_the_fault_is_named_and_torques_as_offline(
-    tmp_path, call
-):
+def test_given_a_serial_arm_when_shown_then_torques_are_as_offline(tmp_path, call):
     scenario, arm = shortened(tmp_path, 'ur10', 0.5, duration=1.2), load_arm('ur10')
     said = ros.lpv('demo', '--arm', 'ur10', '--scenario', scenario, '--out', tmp_path)
     assert 'ALARM, elbow_encoder: error +0.200 rad' in said

@@ -171,9 +171,7 @@ def last_kind(cell, k):
 @pytest.mark.parametrize(('arm', 'least', 'first'), [
     ('real_arm', 4, (3, 6, 5, 0)), ('chain3', 5, (4, 5, 3, 1, 2)), ('ur10', 6, (1, 7, 0, 6, 3, 4)),
 ])  # fmt: skip
-def test_given_a_reading_that_never_changed_when_its_joint_moves_then_it_is_named(
-    arm, least, first
-):
+def test_given_a_reading_that_never_changed_then_it_is_named(arm, least, first):
     """A sensor frozen from the first sample; a joint that rests reads the same.
 
     Of eight runs no more are made than it takes: those that are not named take longest.
@@ -185,9 +183,7 @@ def test_given_a_reading_that_never_changed_when_its_joint_moves_then_it_is_name
 
 
 @pytest.mark.parametrize(('arm', 'runs'), [('chain3', (2, 10)), ('pausing', (0, 5))])
-def test_given_a_rate_bias_when_it_began_beside_the_starts_or_before_them_then_it_is_named(
-    arm, runs
-):
+def test_given_a_rate_bias_that_began_beside_the_starts_then_it_is_named(arm, runs):
     """Where its window begins elsewhere, the balances hold no jump of the momentum there."""
     (cell,) = cells([arm], [False], ['independent'], [BY_NAME['rate bias 0.1']])
     assert [run(cell, k, 7).kind for k in runs] == ['rate_bias'] * len(runs)

@@ -57,9 +57,7 @@ def common_lyapunov(loop, m, alpha):
 
 
 @pytest.mark.parametrize('s_min', [-0.2, 0.0, 1e-3, 0.5, 0.96])
-def test_given_boxes_then_those_with_zero_hold_a_point_that_is_undetectable_and_others_none(
-    planar, s_min
-):
+def test_given_boxes_then_just_those_with_zero_hold_a_point_that_is_undetectable(planar, s_min):
     """By the test of Popov, Belevitch and Hautus, in which output injection K changes nothing."""
     lost, box = undetectable_point(planar, s_min), sinc_box(s_min)
     assert (lost is None) == (s_min > 0.0)
@@ -277,9 +275,7 @@ def test_given_all_noise_scaled_then_only_deviations_scale(paper_model, factor):
 
 
 @pytest.mark.parametrize('direction', [(0.7, 0.0), (0.7, 2.0), (0.7, -2.0)])
-def test_given_one_disturbance_of_both_axes_then_its_deviation_is_as_certified(
-    paper_model, direction
-):
+def test_given_one_disturbance_of_both_axes_then_deviation_is_as_certified(paper_model, direction):
     quiet = {'velocity_noise': 1e-3, 'position_noise': 1e-5, 'disturbance_variance': 30.0}
     arm = replace(paper_model, disturbance_direction=direction, **quiet)
     observer, _ = exact_observer.design_exact(arm, load_requirement('paper').observer)
@@ -315,8 +311,7 @@ def test_given_the_literal_requirement_then_it_is_the_papers_and_sharp(paper_arm
     assert (requirement.observer.q, requirement.observer.r) == (20.0, 15.0)
     assert requirement.controller.alpha == 2.0
     assert isinstance(load_requirement('paper').observer, exact_observer.ExactRequirement)
-    with pytest.raises(ConfigError, match='paper, paper_literal, real_arm'):
-        load_requirement('nothing')
+    pytest.raises(ConfigError, load_requirement, 'nothing').match('paper, paper_literal, real_arm')
     wanted = replace(load_requirement('paper_literal'), observer=PaperRequirement(sinc_min=0.9))
     with pytest.raises(InfeasibleError, match=r'LMI \(55\) with gamma = 1 has no solution'):
         design_flow.design(paper_arm, wanted)

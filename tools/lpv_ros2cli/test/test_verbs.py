@@ -47,8 +47,7 @@ def test_given_what_is_not_there_when_asked_for_then_one_line_says_so(capsys, wo
 
 
 def test_given_what_is_not_covered_when_asked_for_then_the_code_is_that_of_a_wrong_command_line():
-    with pytest.raises(SystemExit, match='^2$'):
-        main(['topic', 'pub', '/x'])
+    pytest.raises(SystemExit, main, ['topic', 'pub', '/x']).match('^2$')
 
 
 @settings(max_examples=50)
@@ -81,8 +80,7 @@ def test_given_yaml_when_a_message_is_filled_then_values_take_the_fields_types()
     (Imu, '{orientation_covariance: [1.0]}', r'takes double\[9\]'),
 ])  # fmt: skip
 def test_given_yaml_that_does_not_fit_when_filled_in_then_the_field_is_named(kind, text, told):
-    with pytest.raises(command_line.CliError, match=told):
-        messages.from_yaml(kind, text)
+    pytest.raises(command_line.CliError, messages.from_yaml, kind, text).match(told)
 
 
 @pytest.fixture(scope='module')

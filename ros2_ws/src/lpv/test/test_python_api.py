@@ -54,8 +54,7 @@ def test_given_parameters_that_no_file_may_hold_then_they_are_named(field, value
         lambda: lpv.simulate(arm, parameters=parameters),
         lambda: lpv.diagnose(arm, None, 'bag', parameters),
     ):
-        with pytest.raises(lpv.ConfigError, match=f'^diagnosis.{field}: {told}'):
-            use()
+        pytest.raises(lpv.ConfigError, use).match(f'^diagnosis.{field}: {told}')
 
 
 def test_given_measurements_when_monitored_then_estimates_are_those_of_the_loop(page):

@@ -66,9 +66,7 @@ FILE = ['--ros-args', '--params-file', str(bringup_file('gains', 'paper'))]
 
 
 @pytest.mark.parametrize(('node', 'given'), [(FILE, True), ([], False)], indirect=['node'])
-def test_given_gains_or_none_when_declared_then_each_that_a_file_sets_is_fixed(
-    node, paper_arm, given
-):
+def test_given_gains_or_none_when_declared_then_those_of_a_file_are_fixed(node, paper_arm, given):
     parameters.declare_given(node, 'gains', 'loop')
     # All at once, as `ros2 param dump` asks for them.
     names = [n for n in node._parameters if n.startswith('gains.')]
@@ -90,12 +88,9 @@ def test_given_gains_or_none_when_declared_then_each_that_a_file_sets_is_fixed(
     ([*FILE, '-p', 'gains.observer.kappa:=x'], 'gains.observer.kappa: must be a flat list'),
     (['--ros-args', '-p', 'gains.arm_name:=paper'], 'gains.format: is missing'),
 ], indirect=['node'])  # fmt: skip
-def test_given_gains_that_are_misspelt_or_not_whole_when_read_then_it_says_so(
-    node, paper_arm, told
-):
+def test_given_gains_misspelt_or_not_whole_when_read_then_it_says_so(node, paper_arm, told):
     parameters.declare_given(node, 'gains')
-    with pytest.raises(ConfigError, match=told):
-        parameters.read_gains(node, paper_arm, Gains)
+    pytest.raises(ConfigError, parameters.read_gains, node, paper_arm, Gains).match(told)
 
 
 def test_given_parameters_that_make_no_sense_when_set_then_each_is_refused_with_its_reason(node):

@@ -103,9 +103,7 @@ def test_given_a_recorder_that_is_killed_when_read_then_at_most_a_second_is_lost
     assert contents(tmp_path / 'new') == (contents(bag)[0], [])
 
 
-def test_given_simulated_time_when_messages_come_before_it_then_none_is_logged_at_zero(
-    session, tmp_path
-):
+def test_given_simulated_time_when_messages_precede_it_then_none_is_at_zero(session, tmp_path):
     recorder, now = session('use_sim_time:=true'), 5_000_000_000
     clock = recorder.client.node.create_publisher(Clock, '/clock', RELIABLE)
     for _ in range(5):
@@ -196,9 +194,7 @@ def test_given_a_disk_that_gets_full_when_recording_then_what_is_there_is_kept(s
     assert said.count('/lpv/ground_truth, /lpv/joint_states_corrected, /lpv/reference') == 4
 
 
-def test_given_a_recorder_that_was_deactivated_when_active_again_then_another_bag_has_the_rest(
-    session, tmp_path
-):
+def test_given_a_recorder_when_active_again_then_another_bag_has_the_rest(session, tmp_path):
     folder = tmp_path / 'bags'
     recorder = session(f'output:={folder / "bag"}')
 

@@ -94,9 +94,7 @@ def test_given_a_publisher_with_history_beside_one_without_when_heard_then_it_is
     assert senders.names() == list(range(5))
 
 
-def test_given_messages_without_a_sender_when_a_publisher_offers_less_then_it_is_told(
-    senders, monkeypatch
-):
+def test_given_messages_without_a_sender_when_one_offers_less_then_it_is_told(senders, monkeypatch):
     """As in distributions before Kilted."""
     monkeypatch.setattr(recorder_input, '_TELLS_PUBLISHERS', False)
     reliable = senders.add(True, False)

@@ -51,8 +51,7 @@ def test_given_the_end_of_a_command_when_a_signal_was_lost_then_none_comes_later
 def test_given_a_start_when_told_to_stop_then_it_ends_at_once_and_later_in_order():
     with handled_signals(lambda *_: None, *STOPS):
         StopRequest()
-        with pytest.raises(SystemExit):
-            signal.raise_signal(signal.SIGTERM)
+        pytest.raises(SystemExit, signal.raise_signal, signal.SIGTERM)
         stop = StopRequest()
         stop.defer()
         signal.raise_signal(signal.SIGTERM)

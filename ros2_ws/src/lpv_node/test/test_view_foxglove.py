@@ -157,8 +157,7 @@ def test_given_the_bridge_when_it_listens_then_only_this_machine_and_origin_can_
             assert refused.value.status == 403
         assert running.address.startswith('127.')
         assert running.address != '127.0.0.1', 'nobody can guess it'
-        with pytest.raises(OSError):
-            socket.create_connection(('127.0.0.1', running.port), 1.0)
+        pytest.raises(OSError, socket.create_connection, ('127.0.0.1', running.port), 1.0)
         assert get(f'http://127.0.0.1:{port}')[0] == 400
 
 

@@ -284,8 +284,7 @@ def test_given_any_value_of_a_field_when_parsed_then_it_is_taken_or_named(name, 
     (json.dumps({'type': 'token', 'token': 'x' * 301}), 'token'),
 ])  # fmt: skip
 def test_given_malformed_commands_when_parsed_then_the_reason_is_told(text, told):
-    with pytest.raises(CommandError, match=told):
-        parse_command(text, SENSORS)
+    pytest.raises(CommandError, parse_command, text, SENSORS).match(told)
 
 
 def test_given_the_kinds_of_faults_when_the_page_is_made_then_its_form_knows_them_all():

@@ -70,9 +70,7 @@ def test_given_a_lost_connection_when_the_page_is_drawn_then_it_gives_no_verdict
 
 
 @pytest.mark.parametrize('opened', [True, False])
-def test_given_a_connection_that_dies_without_a_word_when_silent_then_another_is_opened(
-    show, model, opened
-):
+def test_given_a_connection_that_dies_when_silent_then_another_is_opened(show, model, opened):
     steps = take(model) if opened else ()
     assert show(*steps, ('sockets',), ('pass', 3000), ('sockets',)) == [1, 1]
     answers = show(*steps, ('pass', 6000), ('sockets',), *take(model), ('sockets',), HEAD)
@@ -116,9 +114,7 @@ def test_given_joints_that_turn_and_slide_when_shown_then_figures_have_their_uni
     assert (torques, label, other) == ('+0.04 N m / +14.70 N', 'Size [rad]', 'Size [m]')
 
 
-def test_given_states_and_errors_without_an_alarm_when_shown_then_the_verdict_names_them(
-    show, model
-):
+def test_given_states_and_errors_without_an_alarm_then_the_verdict_names_them(show, model):
     first, second = model.hello()['sensors']
     seen(model, 2.0, state=(0, 1))
     assert show(*take(model), TEXT) == [f' Suspected, not confirmed: {second}']

@@ -97,9 +97,7 @@ def test_given_a_mode_of_compensation_when_estimated_then_the_loop_uses_its_posi
     (0.2, 1.0, 400, False), (0.2, 1.0, 400, True), (0.2, 1.0, 1, False),
     (0.03, 0.03, 400, False),  # much of a quill that moves by 0.2 m
 ])  # fmt: skip
-def test_given_a_fault_when_forgotten_in_a_silence_then_the_arm_waits(
-    node, correction, scale, pause, known
-):
+def test_given_a_fault_forgotten_in_silence_then_it_waits(node, correction, scale, pause, known):
     """A restarted observer knows no faults; one that saw the end of the fault was not silent."""
     node._scales = np.array([scale, 1.0])
     assert not answers(node, range(1, 10), correction=correction)[-1]
@@ -132,9 +130,7 @@ def test_given_a_correction_when_parameters_are_set_then_torques_do_not_leap(nod
 
 
 @IN_REAL_TIME
-def test_given_clocks_that_are_set_back_when_estimates_end_then_the_arm_is_stopped(
-    node, monkeypatch
-):
+def test_given_clocks_set_back_when_estimates_end_then_the_arm_is_stopped(node, monkeypatch):
     def at(nanoseconds):
         return SimpleNamespace(now=lambda: SimpleNamespace(nanoseconds=nanoseconds))
 

@@ -39,8 +39,7 @@ def judge(path, good, load):
         found, warnings = contents(path)
     except BagError as error:
         assert str(error).startswith(str(path)) and '\n' not in str(error)
-        with pytest.raises(BagError):
-            recover(path)
+        pytest.raises(BagError, recover, path)
         return False
     left, complete = iter(good), len(found) == len(good)
     assert all(message in left for message in found), 'not a part of what was recorded'
@@ -111,8 +110,7 @@ def test_given_a_sqlite_bag_that_was_cut_off_when_read_then_what_is_whole_is(tmp
     if left != 'no metadata':
         assert sorted(tmp_path.rglob('*')) == before
     file.write_bytes(b'SQLite format 3' + bytes(5000))
-    with pytest.raises(BagError, match='damaged or incomplete'):
-        contents(read)
+    pytest.raises(BagError, contents, read).match('damaged or incomplete')
 
 
 @pytest.mark.fuzz
@@ -231,9 +229,7 @@ def test_given_missing_files_or_metadata_when_read_then_the_others_are_and_it_is
     (-1, r'the recording was not finished: what came after its first 0\.\d+ s is lost'),
 ])  # fmt: skip
 @pytest.mark.parametrize('left', [0, 500])
-def test_given_a_part_without_its_end_when_recovered_then_it_is_told_which(
-    tmp_path, call, place, said, left
-):
+def test_given_a_part_without_end_when_recovered_then_it_is_told(tmp_path, call, place, said, left):
     bag = write_small(tmp_path / 'bag', 200, split_time=20_000_000)
     (bag / 'metadata.yaml').unlink()
     part = bag / f'bag_{place % len(list(bag.iterdir()))}.mcap'
@@ -328,5 +324,4 @@ def test_given_times_and_gains_when_recovered_then_they_stay_if_whole(tmp_path, 
         assert read_run_file(path, GAINS_NAME) == path.read_bytes()
     for bad in ('{bandwidth: 10.0, loop: {format: 1}}', '{bandwidth: 10.0, other: 1.0}', '{}'):
         gains.write_text(f'/**: {{ros__parameters: {bad}}}\n', encoding='utf-8')
-        with pytest.raises(ConfigError):
-            read_run_file(gains, GAINS_NAME)
+        pytest.raises(ConfigError, read_run_file, gains, GAINS_NAME)

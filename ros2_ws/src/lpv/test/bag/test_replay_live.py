@@ -60,9 +60,7 @@ def player_of(bag, domain, *options):
 
 
 @pytest.mark.realtime
-def test_given_a_bag_when_played_then_a_node_hears_it_at_its_pace_and_names_the_fault(
-    tmp_path, played
-):
+def test_given_a_bag_when_played_then_a_node_hears_its_pace_and_names_the_fault(tmp_path, played):
     domain, sent = ros.next_domain(), measurements(played)
     with ros.graph(tmp_path / 'log', domain) as running:
         remapped = [*ros.command('uio', ARM, files=[GAINS]), '-r', f'joint_states:={MEASURED}']

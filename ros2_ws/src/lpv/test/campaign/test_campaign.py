@@ -259,9 +259,7 @@ def test_given_a_fault_after_the_end_of_a_run_when_measured_then_there_was_none_
 @pytest.mark.parametrize(('onset', 'at', 'found', 'false'), [
     (1.1, 1.3, True, 0), (1.3, 1.3, False, 0), (1.3, 2.5, False, 1), (2.0, 2.0, False, 1),
 ])  # fmt: skip
-def test_given_a_fault_that_is_over_when_its_alarm_comes_then_it_counts_as_in_a_report(
-    onset, at, found, false
-):
+def test_given_a_fault_that_is_over_at_its_alarm_then_it_counts_as_found(onset, at, found, false):
     faults = [Fault('a', 'bias', 1.0, 0.2, size=0.1)]
     row = figures_of(faults, (0, onset, at))
     assert (row['detected'], row['isolated'], row['false_alarms']) == (found, found, false)
@@ -307,9 +305,7 @@ main(sys.argv[1:])"""
 """The command, killed in its second chunk."""
 
 
-def test_given_kill_9_when_run_again_then_all_is_as_of_one_go(
-    small, serial, tmp_path, monkeypatch, call
-):
+def test_given_kill_9_when_run_again_then_all_is_there(small, serial, tmp_path, monkeypatch, call):
     file, out = written(tmp_path / 'small.yaml', SMALL), tmp_path / 'out'
     killed = subprocess.run([sys.executable, '-c', KILLED, *command(file, out)])
     assert killed.returncode == -signal.SIGKILL
@@ -364,8 +360,7 @@ def test_given_two_workers_when_one_dies_then_nothing_is_lost_and_without_any_it
     cluster, small, few, serial, tmp_path, call, monkeypatch
 ):
     scheduler, workers = cluster
-    with pytest.raises(WorkerError, match='has no workers'):
-        next(chunks(small, scheduler=scheduler))
+    pytest.raises(WorkerError, next, chunks(small, scheduler=scheduler)).match('has no workers')
     (first, second), rows = workers(2), []
     for part in chunks(few, scheduler=scheduler, size=2):
         rows += part
@@ -378,14 +373,12 @@ def test_given_two_workers_when_one_dies_then_nothing_is_lost_and_without_any_it
     call('campaign', file, '--out', out, '--scheduler', scheduler, '--no-report')
     assert_same(rows_of(out), serial[: len(rows)])
     other = Campaign(small.text.replace(small.software, 'another'))
-    with pytest.raises(WorkerError, match='another version'):
-        list(chunks(other, scheduler=scheduler))
+    pytest.raises(WorkerError, list, chunks(other, scheduler=scheduler)).match('another version')
     monkeypatch.setattr(execute, '_NO_WORKER_TIMEOUT', 2.0)
     found = chunks(small, scheduler=scheduler, size=2)
     next(found)
     kill(second)
-    with pytest.raises(WorkerError, match='no worker has been left'):
-        list(found)
+    pytest.raises(WorkerError, list, found).match('no worker has been left')
 
 
 def test_given_no_cluster_when_run_then_a_process_of_its_own_does_the_same(few, serial):

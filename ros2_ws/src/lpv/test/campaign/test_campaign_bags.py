@@ -155,9 +155,7 @@ def test_given_changed_or_damaged_results_when_used_then_they_are_named(results,
         assert refused(damaged.name, *command(file, out))
 
 
-def test_given_results_of_another_version_when_used_then_none_are_added(
-    results, tmp_path, call, refused
-):
+def test_given_results_of_another_version_then_none_are_added(results, tmp_path, call, refused):
     file, out = written(tmp_path / 'spec.yaml', SPEC), shutil.copytree(results, tmp_path / 'out')
     (out / 'chunks' / '00000000.parquet').unlink()
     begun = out / 'campaign.json'
@@ -234,8 +232,7 @@ def test_given_an_archive_when_searched_then_bags_and_whose_they_are_is_found(ar
     loose = ['cut/cut_0.mcap', 'cut/cut_1.mcap', 'loose/one.mcap', 'loose/two.db3']
     write_files(tmp_path, dict.fromkeys([*loose, 'whole/whole.mcap', 'old/old_0.db3'], b''))
     assert names(tmp_path) == ['cut', *loose[2:], 'old/old_0.db3', 'whole']
-    with pytest.raises(ConfigError, match='not a folder'):
-        find_bags(tmp_path / 'nowhere')
+    pytest.raises(ConfigError, find_bags, tmp_path / 'nowhere').match('not a folder')
     # The serial number or the folder tells whose a bag is.
     assert (unit_of(archive, 'b/bias'), unit_of(archive, 'foreign')) == ('b', '')
     data = yaml.safe_load((archive / 'a' / 'healthy' / 'metadata.yaml').read_text())

@@ -164,9 +164,7 @@ def test_given_a_run_shorter_than_its_approach_when_measured_then_nothing_is_war
     assert math.isnan(row['mean_threshold_1']) and row['stop_reasons'] == ''
 
 
-def test_given_a_joint_that_slides_when_reported_then_its_figures_are_in_metres(
-    campaign, row, tmp_path
-):
+def test_given_a_joint_that_slides_when_reported_then_metres_are_told(campaign, row, tmp_path):
     sliding, (first, second) = copy(campaign), campaign.arm.joints
     joints = first, replace(second, type='prismatic')
     sliding.arm = replace(campaign.arm, joints=joints)
@@ -178,9 +176,7 @@ def test_given_a_joint_that_slides_when_reported_then_its_figures_are_in_metres(
     assert 'tracking RMS [rad or m]' in (tmp_path / 'report.html').read_text()
 
 
-def test_given_faults_that_are_never_found_when_reported_then_there_is_no_delay_to_draw(
-    campaign, row, tmp_path
-):
+def test_given_faults_never_found_when_reported_then_no_delay_is_drawn(campaign, row, tmp_path):
     faults = [{'fault_size': 0.01 * k, 'detection_delay': math.nan} for k in range(1, 20)]
     rows = [row(k, kind='bias', sensor=SENSORS[0], **fault) for k, fault in enumerate(faults)]
     (found,) = write_report(campaign, table(rows), tmp_path, len(rows))['detection']

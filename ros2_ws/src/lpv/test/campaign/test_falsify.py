@@ -141,9 +141,7 @@ def test_given_a_short_search_when_run_then_it_comes_near_and_never_across(arm, 
     assert 0.4 < found[0].ratio < 1.0 and not any(one.blamed for one in found)
 
 
-def test_given_fast_motion_between_few_samples_then_the_bound_covers_what_sampling_leaves_out(
-    paper_arm, paper_gains
-):
+def test_given_fast_motion_between_few_samples_then_bounds_cover_it(paper_arm, paper_gains):
     joints = [
         replace(one, sensors=replace(one.sensors, position_noise=1e-6, velocity_noise=1e-5))
         for one in paper_arm.joints
@@ -183,14 +181,11 @@ def test_given_a_worst_run_when_written_then_the_command_repeats_it_bit_by_bit(
     assert refused('File exists', 'falsify', *options, '--out', tmp_path / 'arm.yaml')
 
 
-def test_given_no_attack_or_guarantee_when_attacked_then_it_is_refused(
-    tmp_path, ur10, paper_arm, paper_gains, refused
-):
+def test_given_no_attack_or_guarantee_then_refused(tmp_path, ur10, paper_arm, paper_gains, refused):
     attacker, path = Attacker(paper_arm, 1.0, paper_gains), tmp_path / 'a.yaml'
     for attack in ('3', '{joints: x}', '{joints: [[0.0]], rest: 1.0}', ''):
         path.write_text(f'{{duration: 1.0, attack: {attack}}}' if attack else '{}')
-        with pytest.raises(ConfigError, match='attack'):
-            repeat(attacker, read_attack(path)[0], path)
+        pytest.raises(ConfigError, repeat, attacker, read_attack(path)[0], path).match('attack')
     for one in (ur10, paper_arm):
         with pytest.raises(ConfigError, match='model_error'):
             Attacker(replace(one, uncertainty=Uncertainty()), 1.0)

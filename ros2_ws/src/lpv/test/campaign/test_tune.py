@@ -41,9 +41,7 @@ def study_in(out):
     return optuna.load_study(study_name=None, storage=f'sqlite:///{out / "study.db"}')
 
 
-def test_given_a_design_when_tuned_then_only_better_gains_hold(
-    file, paper_arm, call, refused, monkeypatch
-):
+def test_given_a_design_when_tuned_then_better_hold(file, paper_arm, call, refused, monkeypatch):
     out = file.parent / 'out'
     monkeypatch.setattr(tune, 'design', cache(tune.design))  # each is asked for by every command
     assert refused("'beauty' is no number", *command(file, 2, '--cost', 'beauty=1'))
@@ -74,8 +72,7 @@ def test_given_scores_and_alarms_when_a_trial_is_judged_then_only_parts_without_
     assert tune.healthy([good]) == (0.4, 0)
     bad = {'score_before_1': 0.7, 'score_before_2': np.inf, 'alarms_before_1': 2}
     assert tune.healthy([good, bad]) == (1e6, 2)
-    with pytest.raises(ConfigError, match='without fault'):
-        tune.healthy([nothing])
+    pytest.raises(ConfigError, tune.healthy, [nothing]).match('without fault')
 
 
 def test_given_what_makes_no_sense_when_tuned_then_one_line_says_so(file, refused):

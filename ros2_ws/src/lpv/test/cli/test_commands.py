@@ -50,8 +50,7 @@ def test_given_any_command_when_asked_for_help_then_all_is_explained_and_nothing
 def test_given_no_command_or_the_version_when_run_then_it_is_said(call, capsys):
     said = call().out
     assert 'of serial robot arms' in said and 'two-link' not in said
-    with pytest.raises(SystemExit, match='^0$'):
-        call('--version')
+    pytest.raises(SystemExit, call, '--version').match('^0$')
     assert capsys.readouterr().out.startswith('lpv ')
 
 
@@ -75,9 +74,7 @@ def test_given_work_that_takes_long_when_there_is_no_terminal_then_it_is_said(mo
         assert line in said.getvalue()
 
 
-def test_given_gains_of_an_earlier_demo_when_all_is_as_it_was_then_no_solver_is_asked(
-    tmp_path, paper_arm, paper_gains, monkeypatch
-):
+def test_given_gains_as_before_then_no_solver_runs(tmp_path, paper_arm, paper_gains, monkeypatch):
     monkeypatch.setitem(sys.modules, 'lpv_design.design_flow', None)
     file, console = tmp_path / 'gains.yaml', Console(file=io.StringIO())
     save_gains(paper_gains, file, demo._design_key(paper_arm, 'paper') + '\nholds: all')
@@ -86,8 +83,7 @@ def test_given_gains_of_an_earlier_demo_when_all_is_as_it_was_then_no_solver_is_
     changed = re.sub('kappa: .*[0-9]', 'kappa: [1.0, 1.0', file.read_text(), count=1)
     for requirement, text in (('paper_literal', file.read_text()), ('paper', changed)):
         file.write_text(text)
-        with pytest.raises(ImportError):
-            demo._designed(paper_arm, requirement, tmp_path, console)
+        pytest.raises(ImportError, demo._designed, paper_arm, requirement, tmp_path, console)
 
 
 def test_given_an_arm_whose_loop_is_not_certified_when_told_then_it_is_all_that_is_said():
@@ -97,9 +93,7 @@ def test_given_an_arm_whose_loop_is_not_certified_when_told_then_it_is_all_that_
     assert console.file.getvalue().endswith(' its loop has no certificate\n')
 
 
-def test_given_joints_when_findings_are_told_then_each_has_its_unit_if_it_has_a_size(
-    paper_arm, capsys
-):
+def test_given_joints_when_findings_are_told_then_each_size_has_its_unit(paper_arm, capsys):
     first, second = paper_arm.joints
     arm = replace(paper_arm, joints=(first, replace(second, type='prismatic')))
     fault = Fault('link2_angle', 'bias', 1.0, size=0.1)
@@ -136,9 +130,7 @@ def launch(tmp_path, monkeypatch):
     return run
 
 
-def test_given_an_empty_domain_when_the_demo_runs_then_it_has_one_of_its_own(
-    tmp_path, monkeypatch, launch
-):
+def test_given_an_empty_domain_when_the_demo_runs_then_it_has_one(tmp_path, monkeypatch, launch):
     monkeypatch.setenv('ROS_DOMAIN_ID', '')
     launch('echo $ROS_DOMAIN_ID')
     assert 1 <= int((tmp_path / 'launch.log').read_text()) <= 100
@@ -146,9 +138,7 @@ def test_given_an_empty_domain_when_the_demo_runs_then_it_has_one_of_its_own(
 
 @pytest.mark.usefixtures('signals_as_before')
 @pytest.mark.parametrize('number', STOPS)
-def test_given_a_signal_when_the_demo_runs_then_the_launch_has_ended_before_it(
-    tmp_path, monkeypatch, launch, number
-):
+def test_given_a_signal_then_the_launch_has_ended_before_it(tmp_path, monkeypatch, launch, number):
     console, script = Console(quiet=True), f"trap 'echo > {tmp_path}/ended; exit' INT; echo ALARM"
 
     def tell(text='', **_):
@@ -171,9 +161,7 @@ def test_given_a_node_that_dies_when_the_demo_runs_then_it_says_so(tmp_path, lau
 
 
 @pytest.mark.parametrize(('arm', 'scenario'), [('paper', 'two_faults'), ('ur10', 'ur10')])
-def test_given_no_scenario_when_the_demo_runs_then_it_is_that_of_the_arm(
-    tmp_path, monkeypatch, call, arm, scenario
-):
+def test_given_no_scenario_then_it_is_that_of_the_arm(tmp_path, monkeypatch, call, arm, scenario):
     run = []
     monkeypatch.setattr(demo, 'require_ros', lambda: None)
     monkeypatch.setattr(demo, '_designed', lambda *_: tmp_path)

@@ -63,9 +63,7 @@ def test_given_one_answer_less_when_compared_then_it_is_noticed(replayed, paper_
     assert compare_runs(first, second, paper_arm, Tolerances(missing=1.0)).complete
 
 
-def test_given_an_estimate_repeated_in_silence_when_compared_then_it_is_no_answer(
-    replayed, paper_arm
-):
+def test_given_an_estimate_repeated_in_silence_then_it_is_no_answer(replayed, paper_arm):
     first, second = load_pair(replayed, replayed, paper_arm)
     after = second.stamps['fault_estimate'][-1] + 10**9
     for state, same in ((SensorState.STALE, True), (SensorState.OK, False)):

@@ -114,9 +114,7 @@ CHECKS = [
 
 
 @pytest.mark.parametrize('check, arm, gains, scenario, said', CHECKS)
-def test_given_files_when_checked_then_all_fits_or_it_is_said_why_not(
-    files, monkeypatch, check, arm, gains, scenario, said
-):
+def test_given_files_then_misfits_are_said(files, monkeypatch, check, arm, gains, scenario, said):
     monkeypatch.setitem(sys.modules, 'mujoco', None)
     names = (name and name.replace('./', f'{files}/') for name in (arm, gains, scenario))
     model, findings = check_files(*names)
@@ -456,9 +454,7 @@ def test_given_moving_arms_when_checked_then_units_and_rates_are_as_their_files_
     (1.0, 0.0, Level.OK, ''), (-1.0, 0.0, Level.ERROR, 'of all joints count against the motion'),
     (1.0, 0.1, Level.WARN, '7.0 s: ALARM, encoder2: error +0.1'),
 ])  # fmt: skip
-def test_given_a_moving_arm_when_checked_then_a_wrong_sign_or_a_faulty_reading_is_named(
-    sign, step, level, said
-):
+def test_given_a_moving_arm_then_a_wrong_sign_or_faulty_reading_is_named(sign, step, level, said):
     messages = recorded(crane(), 8.0, sign=sign)
     for late in messages[7 * len(messages) // 8 :]:
         late.position[1] += step

@@ -143,8 +143,7 @@ def test_given_any_number_of_a_file_when_it_is_huge_then_it_is_refused(name):
     data = read_yaml(path)
     for field in (one for one in numbers(data) if 'covariance' not in one):
         for huge in (1e300, -1e300):
-            with pytest.raises(ConfigError):
-                parse(changed(data, field, huge), 'some.yaml', **options)
+            pytest.raises(ConfigError, parse, changed(data, field, huge), 'some.yaml', **options)
 
 
 LONG = functools.reduce(lambda inner, _: [inner, inner], range(14), 'x')
@@ -361,8 +360,7 @@ def test_given_large_values_or_files_then_they_are_kept_or_not(tmp_path, monkeyp
     path.write_text('name: x\n' + '#' * 100)
     assert read_yaml(path) == {'name': 'x'}
     monkeypatch.setattr(config, 'MAX_BYTES', 100)
-    with pytest.raises(ConfigError, match='large.yaml: file: is larger than 100 bytes'):
-        read_yaml(path)
+    pytest.raises(ConfigError, read_yaml, path).match('large.yaml: file: is larger than 100 bytes')
     monkeypatch.setattr(urdf_text, 'MAX_BYTES', 100)
     for read in read_yaml, urdf_text.read_urdf_text:  # a device does not say how large it is
         with pytest.raises(ConfigError, match='zero: .* is larger than 100 bytes'):
@@ -376,13 +374,10 @@ def test_given_names_with_dots_in_a_parameter_file_when_read_then_they_count_as_
     assert (found.sigmas, found.latch) == (5.0, True)
     for wrong in ('sigma: 5.0', 'sigmas: 300.0'):
         path.write_text(line.format(wrong))
-        with pytest.raises(ConfigError, match=r'diagnosis\.sigma'):
-            diagnosis_parameters(path)
+        pytest.raises(ConfigError, diagnosis_parameters, path).match(r'diagnosis\.sigma')
 
 
-def test_given_a_folder_of_that_name_when_a_file_is_written_then_it_is_said_and_nothing_is_left(
-    tmp_path, paper_gains
-):
+def test_given_a_folder_of_that_name_when_written_then_nothing_is_left(tmp_path, paper_gains):
     (tmp_path / 'gains.yaml').mkdir()
     with pytest.raises(ConfigError, match='gains.yaml: file: cannot be written, there is a folder'):
         paper_gains.save(tmp_path / 'gains.yaml')
@@ -418,8 +413,7 @@ def test_given_a_file_that_is_none_when_read_then_it_is_named(tmp_path, load):
     folder.mkdir()
     latin.write_bytes(b'name: caf\xe9\n')
     for path in (tmp_path / 'none.yaml', folder, latin):
-        with pytest.raises(ConfigError, match=re.escape(f'{path}: file: cannot be read')):
-            load(path)
+        pytest.raises(ConfigError, load, path).match(re.escape(f'{path}: file: cannot be read'))
 
 
 def test_given_a_scenario_when_read_then_it_may_have_any_kind_of_fault_and_defaults_are_right():
@@ -452,8 +446,7 @@ def test_given_a_factor_of_what_is_off_in_a_scenario_when_read_then_it_is_named(
 ])  # fmt: skip
 def test_given_a_fault_that_cannot_be_injected_when_added_then_its_field_is_named(fault, field):
     injector = FaultInjector(('a', 'b'), (), np.random.default_rng(0))
-    with pytest.raises(ConfigError, match=rf'^fault\.{field}: '):
-        injector.add(Fault(*fault))
+    pytest.raises(ConfigError, injector.add, Fault(*fault)).match(rf'^fault\.{field}: ')
     assert injector.faults == []
 
 
@@ -479,8 +472,7 @@ def test_given_other_yaml_or_arm_then_gains_refuse(tmp_path, paper_arm, real_arm
     path, empty = tmp_path / 'other.yaml', '/**: {ros__parameters: {}}'
     for text in ('a: 1', '/**: 5', empty, empty.replace('{}', '{gains: 5}')):
         path.write_text(text)
-        with pytest.raises(ConfigError, match='other.yaml: .*gains'):
-            load_gains(path)
+        pytest.raises(ConfigError, load_gains, path).match('other.yaml: .*gains')
     with pytest.raises(ConfigError, match='certifies a tracking loop'):
         load_gains(BRINGUP / 'gains' / 'ur10.yaml')
     paper_gains.check_arm(paper_arm)

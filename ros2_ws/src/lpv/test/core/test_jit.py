@@ -220,9 +220,7 @@ def test_given_a_process_that_holds_a_name_then_others_wait_until_it_ends(tmp_pa
     assert len(pauses) == 3
 
 
-def test_given_a_process_that_never_goes_on_when_waited_for_then_not_for_ever(
-    tmp_path, other, monkeypatch
-):
+def test_given_a_process_that_hangs_when_waited_for_then_not_for_ever(tmp_path, other, monkeypatch):
     monkeypatch.setattr(process_lock, '_PATIENCE', 0.05)
     with ProcessLock(tmp_path / 'locks').held('one'):
         assert other.poll() is None

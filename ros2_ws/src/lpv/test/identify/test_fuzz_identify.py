@@ -89,9 +89,7 @@ def damaged(recording: Recording, seed: int) -> list[np.ndarray]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(('count', 'every'), [(80, 1), (3, 3)], ids=['cleaned', 'identified'])
-def test_given_damaged_samples_when_used_then_results_are_finite_or_the_reason_is_said(
-    recording, rough_arm, count, every
-):
+def test_given_damaged_samples_when_used_then_all_is_finite(recording, rough_arm, count, every):
     samples, whole = [], recording.rows(slice(0, 1200 if every > 1 else None, every))
 
     def read():

@@ -61,9 +61,7 @@ def test_given_noise_when_identified_then_links_are_physical(arm, result, record
     assert np.all(np.std(error, axis=0) < 0.04 * np.std(expected, axis=0))
 
 
-def test_given_a_result_when_written_as_a_page_then_it_has_the_tables_of_the_terminal(
-    result, tmp_path
-):
+def test_given_a_result_when_written_then_its_page_has_tables_of_the_terminal(result, tmp_path):
     page = write_report(result, tmp_path).read_text()
     rows = [re.findall('<td[^>]*>(.*?)</td>', row) for row in re.findall('<tr>.*', page)]
     for columns in (FIGURES, DRIVES, SENSORS):
@@ -89,9 +87,7 @@ def test_given_links_or_friction_when_checked_or_rescaled_then_torques_are_as_th
     assert found.joints[2].rotor_coupling == pytest.approx(0.013)
 
 
-def test_given_friction_that_falls_too_far_when_fitted_then_the_arm_can_be_read(
-    arm, simulated, tmp_path
-):
+def test_given_friction_that_falls_too_far_then_the_arm_can_be_read(arm, simulated, tmp_path):
     falling = [JointFriction(0.0, -2.8, 3.0, 3.0)] * 3
     slow = with_joints(arm, friction=falling, limits=[JointLimits(-2.5, 2.5, 1.0, 100.0)] * 3)
     workshop = Workshop(slow, [simulated(slow, rate=60.0)])
@@ -217,9 +213,7 @@ def test_given_a_tool_when_its_payload_is_identified_then_mass_and_centre_fit(ar
     assert found.rms_after < 0.5 * found.rms_before
 
 
-def test_given_friction_of_another_day_when_tools_are_identified_then_errors_are_as_stated(
-    arm, simulated
-):
+def test_given_friction_of_another_day_then_errors_of_tools_are_as_stated(arm, simulated):
     errors = []
     for seed in range(40):
         rng = np.random.default_rng(seed)
@@ -293,9 +287,7 @@ def test_given_a_two_link_arm_when_identified_then_it_is_no_worse_than_published
     assert load_arm(tmp_path / 'arm.yaml') == result.arm
 
 
-def test_given_a_file_when_read_then_its_joints_are_found_or_named(
-    tmp_path, recording, monkeypatch
-):
+def test_given_a_file_when_read_then_joints_are_found_or_named(tmp_path, recording, monkeypatch):
     motion = recording.time, recording.position, recording.velocity
     bag = write_measurements(tmp_path / 'bag', ('three', 'one', 'two'), *motion, recording.effort)
     read = read_recording(bag, NAMES)
@@ -304,8 +296,7 @@ def test_given_a_file_when_read_then_its_joints_are_found_or_named(
     without = write_measurements(tmp_path / 'without', NAMES, *motion, None)
     with pytest.raises(IdentificationError, match="'elbow' occurs 0 .*'three', 'one'"):
         read_recording(bag, ('one', 'elbow'))
-    with pytest.raises(IdentificationError, match='has no efforts'):
-        read_recording(without, NAMES)
+    pytest.raises(IdentificationError, read_recording, without, NAMES).match('has no efforts')
     # Columns of a CSV file are guessed.
     columns = np.column_stack([recording.time, recording.position, recording.effort])
     for header in ('time,q0,q1,q2,tau0,tau1,tau2', 'time,q1,q2,q3,tau1,tau2,tau3'):
@@ -368,8 +359,7 @@ def test_given_few_samples_or_no_motion_then_it_is_said(arm, recording, motion, 
         ),
         (calibrate, frozen, 'readings of two never change'),
     ):
-        with pytest.raises(IdentificationError, match=reason):
-            use(arm, [bad])
+        pytest.raises(IdentificationError, use, arm, [bad]).match(reason)
     # Efforts that are next to nothing say nothing of the masses; that is said once.
     weak = replace(recording.rows(slice(0, 1200, 3)), effort=1e-12 * effort)
     found = identify(arm, [weak], refit=True)
@@ -398,8 +388,7 @@ def test_given_bad_samples_or_stamps_when_cleaned_then_few_are_mended_many_refus
     mended = cleaned(recording, effort=effort)
     assert len(mended.time) == len(recording.time) - 10 and 'not finite' in mended.warnings[0]
     effort[::2] = np.nan
-    with pytest.raises(IdentificationError, match='only 50 %'):
-        cleaned(recording, effort=effort)
+    pytest.raises(IdentificationError, cleaned, recording, effort=effort).match('only 50 %')
     with pytest.raises(IdentificationError, match='has 1 samples of the joints'):
         cleaned(recording.rows(slice(1)))
     for rates, told in ((np.nan, 'are missing, they are computed'), (0.0, 'stand still while')):

@@ -174,9 +174,7 @@ JUDGED = [
 
 
 @pytest.mark.parametrize('faults, alarms, false, missed, delay', JUDGED)
-def test_given_a_fault_and_an_alarm_when_reported_then_it_is_found_missed_or_a_false_alarm(
-    page, faults, alarms, false, missed, delay
-):
+def test_given_a_fault_and_an_alarm_then_it_is_judged(page, faults, alarms, false, missed, delay):
     record = made_up([(0, *span) for span in faults], alarms)
     values, (found,) = page(record), episodes(record)
     numbers = [tile(values, name).value for name in ('false alarms', 'missed faults')]
@@ -281,9 +279,7 @@ def test_given_many_stretches_when_listed_then_the_longest_are_shown_and_all_are
     assert sum(kept) + rest['duration'] == pytest.approx(sum(p.duration for p in many))
 
 
-def test_given_a_wrong_rate_beside_offsets_when_gathered_then_each_has_its_own_end_and_unit(
-    paper_arm, capsys
-):
+def test_given_a_wrong_rate_beside_offsets_then_each_has_its_end_and_unit(paper_arm, capsys):
     rate, times, drift = {'kind': 'rate_bias', 'size': -0.05}, (100, 120), {'kind': 'drift'}
     alarms = [
         event(120, *times, kind='bias'),
@@ -328,9 +324,7 @@ def test_given_a_run_that_ran_away_when_shown_then_its_colours_are_those_of_the_
     ({'kind': 'dropout', 'size': 0.0, 'bound': 0.0}, 'left no readings'),
     ({'kind': 'noise', 'bound': np.inf}, 'left of unknown size'),
 ])  # fmt: skip
-def test_given_an_alarm_that_is_no_offset_when_it_lasts_then_the_verdict_says_so(
-    page, fields, said
-):
+def test_given_an_alarm_of_no_offset_when_it_lasts_then_the_verdict_says_so(page, fields, said):
     verdict = page(made_up([], [event(400, **fields)]))['verdict']
     assert f'error at the end of the run: {said};' in verdict
 

@@ -241,9 +241,7 @@ def test_given_a_run_without_some_topics_when_reported_then_what_is_there_is_sho
         assert 'Diagnostics were not recorded' in text(page)
 
 
-def test_given_gains_when_reported_then_arm_region_margins_and_versions_are_told(
-    loaded, page, gains_file, paper_arm, paper_gains
-):
+def test_given_gains_then_margins_and_all_is_told(loaded, page, gains_file, paper_arm, paper_gains):
     assert loaded.certificate.holds
     facts = dict(cells for cells in rows(page) if len(cells) == 2)
     known = {
@@ -334,9 +332,7 @@ def test_given_a_run_of_three_joints_when_reported_then_its_alarm_is_listed(tmp_
     assert 'Mean squared errors (MISE, eq. (70))' not in text(page)
 
 
-def test_given_names_that_look_like_markup_when_replayed_then_they_are_said_as_they_are(
-    tmp_path, call
-):
+def test_given_names_that_look_like_markup_then_they_are_said_as_they_are(tmp_path, call):
     name = 'a[/b] [red]$x_{1$'
     joints = [
         replace(j, sensors=replace(j.sensors, name=f'{name}{j.name}')) for j in crane().joints
@@ -349,9 +345,7 @@ def test_given_names_that_look_like_markup_when_replayed_then_they_are_said_as_t
     assert f'{name}joint2' in text((tmp_path / 'report' / 'report.html').read_text())
 
 
-def test_given_a_browser_when_the_report_is_printed_then_all_is_there_in_black_on_white(
-    report, browser
-):
+def test_given_a_browser_when_it_prints_then_all_is_there_in_black_on_white(report, browser):
     asked, complaints, page = [], [], browser.new_page()
     page.set_viewport_size({'width': 1100, 'height': 900})
     page.emulate_media(color_scheme='dark')

@@ -124,9 +124,7 @@ def test_given_an_offset_that_begins_with_a_jump_then_its_bound_does_not_stay_wi
     ('paper', 'independent', ('scale', 0.45), 1), ('ur10', 'derived', ('scale', -0.4), 2),
     ('ur10', 'independent', ('scale', 0.2), 2), ('ur10', 'independent', ('scale', 0.45), 4),
 ])  # fmt: skip
-def test_given_a_jump_in_motion_then_offset_and_scale_error_are_told_apart_until_it_is_over(
-    arm, rates, fault, joint
-):
+def test_given_a_jump_in_motion_then_offset_and_scale_error_are_told(arm, rates, fault, joint):
     run, (kind, _) = Run(arm, rates, fault, joint, 3.0), fault
     updated = [('UPDATED', run.name, 'scale')] if kind == 'scale' else []
     assert run.events == [('RAISED', run.name, 'bias'), *updated, ('CLEARED', run.name, kind)]
@@ -191,9 +189,7 @@ def test_given_a_reading_that_stays_frozen_when_its_joint_goes_on_then_it_is_fol
     ('chain3', (1, 2), 0.3, 0.05), ('chain3', range(3), 0.0, 0.1), ('ur10', range(6), 0.0, 0.1),
     ('panda', range(7), 0.0, 0.1),
 ])  # fmt: skip
-def test_given_readings_that_freeze_then_bounds_hold_and_all_that_do_so_together_are_named(
-    arm, joints, apart, most
-):
+def test_given_readings_that_freeze_together_then_all_are_named(arm, joints, apart, most):
     subject, end, wrong = _subject(arm).with_rates('derived'), ONSET + 2.0, []
     faults = [Injected(i, ONSET + k * apart, end) for k, i in enumerate(joints)]
     names, last = subject.arm.sensor_names, faults[-1].onset

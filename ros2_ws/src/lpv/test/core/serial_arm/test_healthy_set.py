@@ -154,9 +154,7 @@ def test_given_friction_by_load_that_is_half_as_large_again_then_the_worst_arm_s
 
 
 @pytest.mark.parametrize('missed', [-2.0, 2.0])
-def test_given_torques_that_are_missed_at_rest_alone_when_rates_are_noisy_then_thresholds_hold(
-    missed,
-):
+def test_given_torques_missed_at_rest_alone_when_rates_are_noisy_then_thresholds_hold(missed):
     """What a rate reads at rest is not zero."""
     tolerance = description.TorqueTolerance((0.0, 0.005), (2.0, 0.0))
     arm = with_joints(CLOSE, torque_tolerance=tolerance, sensors={'velocity_noise': 0.02})
@@ -181,9 +179,7 @@ def test_given_efforts_as_late_as_stated_when_moved_then_thresholds_hold(late, s
     ('independent', [[3.0, 2.1], [0.1, 0.7], [0.25, 0.4], [1.3, -0.4]]),
     ('derived', [[-2.7, 2.9], [0.35, 0.2], [0.3, 1.1], [0.6, 3.1]]),
 ])  # fmt: skip
-def test_given_noise_of_rates_as_large_as_slow_motion_when_healthy_then_thresholds_hold(
-    rates, motion
-):
+def test_given_noise_of_rates_as_large_as_motion_when_healthy_then_thresholds_hold(rates, motion):
     """Noise that columns and residual share does not average out."""
     attacker = Attacker(with_sensors(load_arm('paper'), rates=rates), 8.0)
     joints, corner = [*motion, *np.zeros((3, 2)).tolist()], [1.0] * attacker.range.count
@@ -318,9 +314,7 @@ def test_given_torques_that_switch_at_their_limits_then_no_jump_is_near_its_boun
 
 
 @pytest.mark.parametrize(('lost', 'guaranteed'), [(0, True), (7, False)])
-def test_given_a_joint_that_moves_while_samples_are_lost_then_its_jump_is_not_guaranteed(
-    lost, guaranteed
-):
+def test_given_a_jump_while_samples_are_lost_then_it_is_not_guaranteed(lost, guaranteed):
     arm, rng, rows = shoulder_arm('independent'), np.random.default_rng(0), 1000
     count = np.arange(rows) + lost * (np.arange(rows) >= 800)
     samples = np.zeros((rows, 3, 3))

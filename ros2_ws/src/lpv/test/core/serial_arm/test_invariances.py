@@ -189,9 +189,7 @@ def events(answers, begin, order):
 
 @pytest.mark.parametrize('name', ['paper', 'pushed', 'scara'])
 @pytest.mark.parametrize('description', DESCRIPTIONS)
-def test_given_another_description_of_the_same_when_observed_then_answers_are_the_same(
-    description, name
-):
+def test_given_another_description_of_the_same_then_answers_are_the_same(description, name):
     arm, stamps, samples = recorded(name)
     other, *delivered = DESCRIPTIONS[description](arm, stamps, samples)
     expected, found = answered(name), answers_to(other, *delivered)

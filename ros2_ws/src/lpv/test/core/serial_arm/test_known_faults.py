@@ -26,9 +26,7 @@ def averaged(values):
 
 
 @pytest.mark.parametrize('rates', ['derived', 'independent'])
-def test_given_a_drift_when_named_then_its_alarm_has_its_bound_and_it_goes_on_without_samples(
-    rates,
-):
+def test_given_a_drift_then_its_alarm_has_its_bound_and_it_goes_on_without_samples(rates):
     arm = shoulder_arm(rates)
     for seed in (1, 2):
         whole = simulated(arm, Fault('encoder2', 'drift', 3.0, rate=0.3), duration=7.0, seed=seed)
@@ -44,9 +42,7 @@ def test_given_a_drift_when_named_then_its_alarm_has_its_bound_and_it_goes_on_wi
 
 
 @pytest.mark.parametrize(('rate', 'seed'), [(0.02, 2), (0.05, 4), (-0.05, 4)])
-def test_given_a_slow_drift_then_it_is_not_called_a_scale_error_that_would_have_begun_with_a_jump(
-    rate, seed
-):
+def test_given_a_slow_drift_then_it_is_no_scale_error_which_would_have_jumped(rate, seed):
     arm = shoulder_arm('independent')
     drift = Fault('encoder1', 'drift', 4.0, rate=rate)
     answers = answered(arm, simulated(arm, drift, duration=7.0, seed=seed))
@@ -79,9 +75,7 @@ def test_given_a_rate_bias_when_it_ends_then_nothing_else_is_found_and_rates_wer
 
 @pytest.mark.parametrize('size', [0.6, -1.0, 2.0])
 @pytest.mark.parametrize('arm', ['shoulder', 'ur10'])
-def test_given_a_rate_bias_beyond_the_smallest_step_in_a_sample_then_no_reading_is_blamed(
-    arm, size
-):
+def test_given_a_rate_bias_beyond_the_smallest_step_then_no_reading_is_blamed(arm, size):
     arm = shoulder_arm() if arm == 'shoulder' else load_arm(arm)
     arm = with_rates(arm, 'independent', sample_time=0.01)
     for joint in (1, 2):

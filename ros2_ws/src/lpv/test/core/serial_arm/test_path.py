@@ -75,9 +75,7 @@ WIDE = JointLimits(-2.5, 2.5, 2.5, 60.0)
     ('path.waypoints: .*3 joint positions', (0.0, 1.0), ((0.0, 0.0), (0.1, 0.1)), WIDE),
     ('path.waypoints: .*finite', (0.0, 1.0), ((0.0, 0.0, math.nan), JOINTS[0]), WIDE),
 ])  # fmt: skip
-def test_given_what_makes_no_path_or_exceeds_a_limit_then_joint_or_field_is_named(
-    reason, times, joints, limits
-):
+def test_given_what_makes_no_path_then_joint_or_field_is_named(reason, times, joints, limits):
     with pytest.raises(ConfigError, match=reason):
         SerialPath(with_joints(ARM, 0, limits=limits), times, joints)
 
@@ -213,12 +211,10 @@ def test_given_bad_waypoints_or_a_path_for_no_arm_then_it_is_refused(paper_arm):
         planar(replace(paper_arm, tip=(0.5, 0.0, 0.0)), (0.0, 1.0), ((-1.0, 0.05), (1.0, 0.05)))
     with pytest.raises(UnreachableError, match='singularity'):
         planar(paper_arm, (0.0, 1.0), ((0.0, 1.5), (0.0, 2.0)))
-    with pytest.raises(UnreachableError):
-        planar(paper_arm).sample(math.nan)
+    pytest.raises(UnreachableError, planar(paper_arm).sample, math.nan)
     with pytest.raises(ConfigError, match=r'path\.waypoints: .*coordinates x and y'):
         planar(paper_arm, (0.0, 1.0), ((0.0, 1.5, 0.0), (0.1, 1.5, 0.0)))
-    with pytest.raises(ConfigError, match=r'path\.elbow'):
-        planar(paper_arm, elbow='left')
+    pytest.raises(ConfigError, planar, paper_arm, elbow='left').match(r'path\.elbow')
 
 
 def follow(guide, position, start, seconds):
@@ -285,9 +281,7 @@ def test_given_a_stop_when_it_goes_on_then_from_where_it_stopped_to_the_same_pat
     (with_joints(ARM, 0, limits=JointLimits(velocity=0.3)), 0, 1.0), (scara(), 2, 0.03),
     (scara(), 2, 0.1), (scara(), 1, 0.04),
 ], ids=['slow', 'near', 'far', 'at_once'])  # fmt: skip
-def test_given_slow_or_sliding_joints_when_guided_then_no_watchdog_stops_their_approach(
-    arm, joint, offset
-):
+def test_given_slow_or_sliding_joints_when_guided_then_no_watchdog_stops_them(arm, joint, offset):
     place = np.array([0.1, 0.3, -0.12, 0.2][: len(arm.joints)])
     path = SerialPath(arm, (0.0, 1.0), np.array([place, place + 0.01]))
     dog, limits = TrackerWatchdog(arm, TrackerLimits()), TrackerLimits()

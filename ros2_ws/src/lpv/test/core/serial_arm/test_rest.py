@@ -297,9 +297,7 @@ def test_given_brakes_that_hold_the_arm_from_the_start_then_no_encoder_is_blamed
     pytest.param('real_arm', 'independent', 0, 0.6, marks=pytest.mark.slow),
     pytest.param('paper', 'derived', 1, -0.3, marks=pytest.mark.slow),
 ])  # fmt: skip
-def test_given_a_torque_that_stays_when_watched_then_no_encoder_is_blamed_nor_corrected(
-    name, rates, joint, share
-):
+def test_given_a_torque_that_stays_then_no_encoder_is_blamed(name, rates, joint, share):
     """Someone leans on the arm: from 7 s on drives give less, by a share of the usual effort."""
     (subject,) = fault_injection.subjects(name, recorded=False)
     subject, stream = subject.with_rates(rates), subject.streams(1)

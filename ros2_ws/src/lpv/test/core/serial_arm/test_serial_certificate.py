@@ -145,8 +145,7 @@ def test_given_forged_numbers_and_checksums_when_verified_then_it_is_told(by, na
 def test_given_any_changed_number_when_verified_then_the_checksum_tells(tmp_path):
     arm, gains = FILES['ur10']
     other = replace(gains, rate_share=0.9 * gains.rate_share)  # a weaker claim, true as well
-    with pytest.raises(ConfigError, match='numbers are those of the design'):
-        other.require(arm)
+    pytest.raises(ConfigError, other.require, arm).match('numbers are those of the design')
     other.save(tmp_path / 'gains.yaml')
     assert load_certified(tmp_path / 'gains.yaml').rate_share == other.rate_share
 
@@ -160,5 +159,4 @@ def test_given_a_damaged_proof_or_none_when_read_then_the_field_is_named(tmp_pat
         LoopGains.parse(changed(data, 'model_error', Missing))
     path = tmp_path / 'gains.yaml'
     path.write_text('/**: {ros__parameters: {bandwidth: 10.0}}\n', encoding='utf-8')
-    with pytest.raises(ConfigError, match='no certificate'):
-        load_certified(path)
+    pytest.raises(ConfigError, load_certified, path).match('no certificate')

@@ -152,8 +152,7 @@ def test_drives_are_no_joints_the_tip_names_the_branch_and_locks_hold_what_follo
 
 @pytest.mark.parametrize('reason', NO_ARM)
 def test_joints_that_no_arm_has_are_refused_by_name(small, reason):
-    with pytest.raises(ConfigError, match=reason):
-        small(*NO_ARM[reason])
+    pytest.raises(ConfigError, small, *NO_ARM[reason]).match(reason)
 
 
 def test_given_a_joint_that_moves_no_mass_then_its_file_is_refused_by_name():

@@ -77,9 +77,7 @@ def test_given_spikes_when_rates_are_differences_then_the_arm_stays_on_its_path(
 
 @pytest.mark.parametrize(('size', 'duration'), [(0.04, 0.5), (0.075, 2.0), (0.04, 0.014)])
 @pytest.mark.parametrize('rates', ['derived', 'independent'])
-def test_given_a_noisy_reading_when_in_the_loop_then_the_arm_stays_on_its_path(
-    rates, size, duration
-):
+def test_given_a_noisy_reading_in_the_loop_then_the_arm_stays_on_its_path(rates, size, duration):
     noise = Fault('encoder2', 'noise', 1.0, duration=duration, size=size)
     run = simulate(noise, rates=rates)
     assert np.abs(run.position - run.reference).max() < 0.1
@@ -93,9 +91,7 @@ def test_given_a_noisy_reading_when_in_the_loop_then_the_arm_stays_on_its_path(
 @pytest.mark.parametrize(('seed', 'onset', 'size', 'duration'), [
     (46, 4.7703, 0.04, 0.014), (46, 4.7703, 0.04, 0.5), (43, 4.6532, 0.2, 0.5),
 ])  # fmt: skip
-def test_given_noise_that_begins_below_a_jump_when_the_arm_is_light_then_it_is_not_thrown(
-    seed, onset, size, duration
-):
+def test_given_noise_that_begins_below_a_jump_then_no_arm_is_thrown(seed, onset, size, duration):
     """The first difference of readings would be a rate of 15 rad/s, at which it is carried on."""
     scenario = load_scenario(BRINGUP / 'scenarios' / 'real_arm.yaml')
     noise = Fault('joint2_encoder', 'noise', onset, duration, size)
@@ -132,9 +128,7 @@ def test_given_drives_that_brake_in_motion_when_healthy_then_no_encoder_is_blame
 @pytest.mark.parametrize(('name', 'joint', 'onset', 'seed'), [
     ('panda', 5, 5.6, 5), ('ur10', 1, 6.0, 7),
 ])  # fmt: skip
-def test_given_a_frozen_reading_when_drives_brake_in_motion_then_no_other_encoder_is_blamed(
-    name, joint, onset, seed
-):
+def test_given_a_frozen_reading_when_drives_brake_then_no_other_is_blamed(name, joint, onset, seed):
     """How fast the joint was that was driven away is not known: arms without rotors are, soon."""
     arm = read_urdf_chain(BRINGUP / 'urdf' / f'{name}.urdf')
     way = np.minimum(0.2 * np.array([np.ptp(one.range) for one in arm.joints]), 0.4)

@@ -74,9 +74,7 @@ def test_offset_from_the_start_is_named_and_measured_also_after_a_gap(joint):
 @pytest.mark.parametrize(('joint', 'period', 'size'), [
     (0, 0.002, 0.01), (1, 0.002, 0.01), (2, 0.002, 0.01), (1, 0.008, 0.05),
 ])  # fmt: skip
-def test_step_is_named_as_one_more_sample_confirms_it_and_keeps_its_kind(
-    rates, joint, period, size
-):
+def test_step_is_named_as_one_more_sample_confirms_it_and_keeps_kind(rates, joint, period, size):
     arm = replace(shoulder_arm(rates), sample_time=period)
     (alarm,) = watched(
         arm, Fault(f'encoder{joint + 1}', 'bias', 2.0, size=size), duration=4.0
@@ -122,9 +120,7 @@ def test_given_a_derived_rate_when_it_contradicts_its_reading_then_it_alone_is_n
 
 
 @pytest.mark.parametrize(('share', 'times'), [(0.025, 1), (0.06, 2)])  # 2 Hz, 5 Hz twice
-def test_given_independent_rates_when_a_driver_filters_them_then_encoders_are_right_or_named(
-    share, times
-):
+def test_given_independent_rates_that_a_driver_filters_then_encoders_are_right(share, times):
     arm, drift = shoulder_arm('independent'), Fault('encoder2', 'drift', 4.0, rate=0.2)
     for faults, named in ((), []), ((drift,), [('encoder2', 'drift')]):
         run = simulated(arm, *faults, duration=6.0)

@@ -45,9 +45,7 @@ def watched(kind, rates, *faults, until=9.0, seed=1):
 
 @RATES
 @pytest.mark.parametrize('seed', [1, 2])
-def test_given_slow_samples_when_a_reading_freezes_then_it_is_followed_until_it_is_right(
-    rates, seed
-):
+def test_given_slow_samples_when_a_reading_freezes_then_it_is_followed(rates, seed):
     monitor, truth = watched('stuck', rates, (1, 4.0, END), until=5.0, seed=seed)
     assert set(blamed(monitor)) == {('encoder2', 'stuck')}  # and it is not noise
     fault, sigma = monitor.faults()
@@ -90,9 +88,7 @@ LONG = with_rates(random_arm(8), 'derived', sample_time=0.01)
     # The noise of its rate while a joint rests is no scale error.
     *((LONG, motion_range(LONG, 0.5), seed) for seed in (108, 113)),
 ], ids=['fast 3', 'fast 6', 'long 108', 'long 113'])  # fmt: skip
-def test_given_fast_joints_or_a_long_chain_when_encoders_are_healthy_then_nothing_is_suspected(
-    arm, motion, seed
-):
+def test_given_fast_joints_or_a_long_chain_then_nothing_is_suspected(arm, motion, seed):
     run, monitor = derived(simulate(arm, motion, seed, pauses=True)), Watched(arm)
     threshold = monitor.settings.threshold(monitor.plan.interval)
     for part in range(0, len(run.stamps), 25):

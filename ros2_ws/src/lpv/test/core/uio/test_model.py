@@ -32,8 +32,7 @@ SHARES = st.tuples(st.floats(-1.0, 1.0), st.floats(-1.0, 1.0))
 
 def test_given_factors_or_a_payload_then_links_follow_and_mass_is_positive(paper_model):
     for mass in (-6.0, math.nan):
-        with pytest.raises(ConfigError, match='payload'):
-            paper_model.with_payload(mass)
+        pytest.raises(ConfigError, paper_model.with_payload, mass).match('payload')
     one, two = paper_model.links
     first = replace(one, mass=1.2 * one.mass, inertia=1.5 * one.inertia)
     second = replace(two, mass=0.9 * two.mass, inertia=0.5 * two.inertia)
@@ -80,8 +79,7 @@ def test_given_a_batch_when_converted_or_solved_then_every_row_alone_and_a_bad_o
         np.testing.assert_allclose(method(batch), rows, rtol=1e-15, atol=1e-15)
     batch[1, 2] = 7.5, 0.25
     for bad in (batch, batch[1]):
-        with pytest.raises(UnreachableError, match=r'\(7.5, 0.25\)'):
-            inverse(bad, lengths)
+        pytest.raises(UnreachableError, inverse, bad, lengths).match(r'\(7.5, 0.25\)')
 
 
 @given(SHARE, BEARING, st.booleans(), LENGTH, LENGTH)
@@ -98,8 +96,7 @@ def test_given_a_point_out_of_reach_or_a_singularity_when_solved_then_the_error_
         with pytest.raises(UnreachableError, match=r'out of reach.*\[0.4, 2\] m'):
             inverse(point, (1.2, 0.8))
     for q_2 in (0.0, 5e-4, math.pi, -math.pi):
-        with pytest.raises(UnreachableError, match='singularity'):
-            refuse_singular(np.array([0.3, q_2]))
+        pytest.raises(UnreachableError, refuse_singular, np.array([0.3, q_2])).match('singularity')
     refuse_singular(np.array([0.3, 2e-3]))
 
 
@@ -267,8 +264,7 @@ def test_given_an_arm_when_converted_then_it_may_turn_but_needs_a_region(paper_a
     np.testing.assert_allclose(plane, [[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]], atol=1e-12)
     np.testing.assert_array_equal(origin, 0.0)
     arm = replace(paper_arm, lpv=None)
-    with pytest.raises(ConfigError, match='lpv: is missing'):
-        planar_model(arm)
+    pytest.raises(ConfigError, planar_model, arm).match('lpv: is missing')
     assert planar_links(arm).links == paper_model.links
     with pytest.raises(ConfigError, match='sensor_matrix'):
         planar_model(replace(paper_arm, sensor_matrix=((1.0, 0.0), (0.5, 1.0))))

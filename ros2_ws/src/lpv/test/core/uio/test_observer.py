@@ -305,9 +305,7 @@ def test_given_a_rate_that_no_arm_has_when_taken_then_no_estimate_is_made_up(obs
 
 
 @given(st.integers(zonotope.KEPT, zonotope.COLUMNS), st.integers(0, 10**6), st.integers(0, 6))
-def test_given_columns_of_a_zonotope_when_reduced_then_the_largest_stay_in_a_set_as_wide(
-    count, seed, digits
-):
+def test_given_a_zonotope_when_reduced_then_large_columns_stay_as_wide(count, seed, digits):
     columns = np.zeros((zonotope.SIZE, zonotope.COLUMNS))
     given = np.random.default_rng(seed).normal(size=(zonotope.SIZE, count)).round(digits)
     columns[:, :count] = given  # many of the same size
