@@ -15,8 +15,7 @@ import pytest
 from fault_injection import BY_NAME, CLOSE, DATA, cells, draw, outside_bounds, run
 from fault_matrix import BAR, COMPARED, KEY, compared, summary
 
-from lpv.core.monitoring.parameters import DiagnosisParameters
-from lpv.core.serial_arm.diagnosis.alarms import AlarmEvent
+from lpv import AlarmEvent, DiagnosisParameters
 
 pytestmark = pytest.mark.slow
 

@@ -143,9 +143,8 @@ def test_given_a_run_of_a_campaign_when_the_graph_runs_it_then_it_is_that(tmp_pa
             node = running.start(name, line)
         assert node.process.wait(1000) == 0
         ros.end(running)
-    record, first = (
-        load_run(bag, joint_names=plan.arm.joint_names) for bag in (tmp_path / 'graph', files)
-    )
+    names = {'joint_names': plan.arm.joint_names}
+    record, first = (load_run(bag, **names) for bag in (tmp_path / 'graph', files))
     for stream in ALL - {'fault_alarm'}:
         np.testing.assert_array_equal(record.stamps[stream], first.stamps[stream], stream)
         for field, values in record.streams[stream].items():

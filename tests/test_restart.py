@@ -14,6 +14,7 @@ import psutil
 import pytest
 import ros
 from diagnostic_msgs.msg import DiagnosticArray
+from fault_injection import with_joints
 from fuzzing import cases
 from hostile import damaged_bytes, fill, forge, numbers, parameter, sized
 from lifecycle_msgs.msg import State, Transition
@@ -165,8 +166,7 @@ def files(tmp_path_factory):
     and its drives brake for good.
     """
     folder, arm = tmp_path_factory.mktemp('slow'), load_arm(BRINGUP / 'arms' / 'paper.yaml')
-    joints = [replace(one, friction=replace(one.friction, viscous=400.0)) for one in arm.joints]
-    arm = replace(arm, sample_time=STEP * 1e-9, joints=tuple(joints))
+    arm = with_joints(replace(arm, sample_time=STEP * 1e-9), friction={'viscous': 400.0})
     found = {name: folder / f'{name}.yaml' for name in ('arm', 'gains')}
     save_arm(arm, found['arm'])
     design(arm, load_requirement('paper')).gains.save(found['gains'])
@@ -449,9 +449,7 @@ def test_given_hostile_input_when_the_graph_runs_then_it_lives_and_recovers(tmp_
             assert rig.client.wait(answer.done, 30.0), f'{service} does not answer'
         assert rig.client.wait(lambda: not rig.is_braked(), 150.0), 'braked for ever'
         count = len(rig.heard['ground_truth'])
-        assert rig.client.wait(lambda: len(rig.heard['ground_truth']) > count + 100), (
-            'it stands still'
-        )
+        assert rig.client.wait(lambda: len(rig.heard['ground_truth']) > count + 100), 'it stands'
         grown = {name: size - before[name] for name, size in memory(rig).items()}
         assert max(grown.values()) < MEMORY, grown
         assert is_said(reports), 'what is refused is not said'

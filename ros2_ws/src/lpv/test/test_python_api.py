@@ -37,10 +37,8 @@ def test_given_the_page_when_its_code_is_run_then_faults_raise_alarms_of_their_s
 ])  # fmt: skip
 def test_given_what_cannot_be_simulated_then_it_is_named(field, change):
     scenario = replace(lpv.load_scenario('two_faults'), **change)
-    with pytest.raises(lpv.ConfigError, match=f'^{field}: must be'):
-        lpv.simulate(
-            lpv.load_arm('paper'), None, scenario, compensation='on' if not change else 'off'
-        )
+    given = lpv.load_arm('paper'), None, scenario, None, 'off' if change else 'on'
+    pytest.raises(lpv.ConfigError, lpv.simulate, *given).match(f'^{field}: must be')
 
 
 @pytest.mark.parametrize(('field', 'value', 'told'), [

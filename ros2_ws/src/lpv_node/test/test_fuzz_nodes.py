@@ -85,10 +85,8 @@ class View:
     def __init__(self, node):
         self.node, self.frames, self._stamp = node, [], 10**9
         node._server.frame = lambda frame: self.frames.append(server.encode(frame))
-        bridge, refuse = Bridge(), node._refusals.add
-        node._inboxes = [
-            Inbox(one, partial(bridge.forward, one.name, one.every), 0.0, refuse) for one in TOPICS
-        ]
+        ways = (partial(Bridge().forward, one.name, one.every) for one in TOPICS)
+        node._inboxes = [Inbox(*each, 0.0, node._refusals.add) for each in zip(TOPICS, ways)]
 
     def good(self, kind):
         message = sized(kind())

@@ -15,9 +15,8 @@ STAMP = 3_000_000_007
 
 def test_given_memory_when_it_changes_then_the_next_message_has_the_new_numbers_and_stamp():
     torque, stop = np.zeros(3), np.zeros(1, bool)
-    message = SerializedMessage(
-        'lpv_msgs/msg/TorqueCommand', '', {'torque': torque, 'safe_stop': stop}
-    )
+    numbers = {'torque': torque, 'safe_stop': stop}
+    message = SerializedMessage('lpv_msgs/msg/TorqueCommand', '', numbers)
     first = message.at(1)
     torque[:], stop[0] = [1.5, -0.0, 1e-300], True
     second = deserialize_message(message.at(STAMP), TorqueCommand)

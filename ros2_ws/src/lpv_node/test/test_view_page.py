@@ -4,12 +4,12 @@ import json
 import math
 import shutil
 import subprocess
-from dataclasses import replace
 from importlib import resources
 from pathlib import Path
 
 import pytest
 import test_view_model as made
+from fault_injection import with_joints
 from serial_bags import crane
 from test_view_model import RAISED, message, report, state_estimate
 
@@ -43,8 +43,7 @@ def show(tmp_path):
 @pytest.fixture
 def model(paper_arm):
     """Of a planar arm whose second joint slides; nothing is wrong with it."""
-    first, second = paper_arm.joints
-    return seen(LiveModel(replace(paper_arm, joints=(first, replace(second, type='prismatic')))))
+    return seen(LiveModel(with_joints(paper_arm, 1, type='prismatic')))
 
 
 def seen(model, t=1.0, now=0.0, **fields):

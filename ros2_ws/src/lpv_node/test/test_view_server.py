@@ -15,7 +15,7 @@ from lpv_node.view.access import Access
 from lpv_node.view.model import LiveModel
 from lpv_node.view.server import LARGEST_MESSAGE, MOST_CONNECTIONS, ViewServer
 
-TOKEN = 'a token of this test'
+TOKEN, MANY = 'a token of this test', MOST_CONNECTIONS * [None]
 INJECT = {'type': 'inject', 'id': 5, 'sensor': 'link1_angle', 'kind': 'bias', 'size': 0.3}
 ASKED = {
     200: (
@@ -258,11 +258,8 @@ def test_given_silent_sockets_in_all_places_when_time_passes_then_others_get_in(
 
 def test_given_more_connections_than_there_is_room_when_silent_then_they_are_closed(paper_arm):
     with serve(paper_arm, patience=0.5) as served, ExitStack() as idle:
-        place = '127.0.0.1', served.port
-        sockets = [
-            idle.enter_context(socket.create_connection(place)) for _ in range(2 * MOST_CONNECTIONS)
-        ]
-        for one in sockets:  # none waits for ever
+        made = [socket.create_connection(('127.0.0.1', served.port)) for _ in 2 * MANY]
+        for one in map(idle.enter_context, made):  # none waits for ever
             one.settimeout(60.0)
             with suppress(ConnectionResetError):
                 assert one.recv(1) == b''
@@ -272,9 +269,8 @@ def test_given_more_connections_than_there_is_room_when_silent_then_they_are_clo
 def test_given_idle_connections_in_all_places_when_others_ask_then_they_are_served(paper_arm):
     with serve(paper_arm, patience=GUARD) as served, ExitStack() as idle:
         idle.enter_context(served.silent_socket())  # a page that is open stays so
-        place = '127.0.0.1', served.port
-        for _ in range(3 * MOST_CONNECTIONS):
-            idle.enter_context(socket.create_connection(place))
+        for _ in 3 * MANY:
+            idle.enter_context(socket.create_connection(('127.0.0.1', served.port)))
         assert get(served.url)[0] == 200
         assert served.talk([INJECT])[0]['ok']
         wait(lambda: len(served.server.clients) == 1)

@@ -222,9 +222,8 @@ def test_given_a_gripper_on_the_topic_when_observed_then_it_is_no_error(arm, mon
         monkeypatch.setattr(arm.node, 'get_publishers_info_by_topic', lambda _, one=there: one)
         arm.node._report(arm.stamp)
     words = ('one publisher', 'one publisher', 'no publisher')
-    assert told == [
-        (level, f'{text}, and 1 of other joints') for level, text in zip((OK, OK, WARN), words)
-    ]
+    texts = (f'{text}, and 1 of other joints' for text in words)
+    assert told == list(zip((OK, OK, WARN), texts))
 
 
 def test_given_a_driver_that_names_no_joints_at_first_when_it_does_then_they_are_observed():
@@ -253,10 +252,8 @@ def test_given_many_measurements_at_once_when_observed_then_each_is_answered(arm
 
 
 def test_given_an_arm_when_configured_then_the_first_fault_has_nothing_to_compile(monkeypatch):
-    warmed = []
-    monkeypatch.setattr(
-        serial_monitor.SerialSensorMonitor, 'warm_up_faults', lambda self: warmed.append(self)
-    )
+    warmed, kind = [], serial_monitor.SerialSensorMonitor
+    monkeypatch.setattr(kind, 'warm_up_faults', lambda self: warmed.append(self))
     with node_of(UioNode, arm_file='paper') as node:
         assert warmed == [node._monitor]
 
@@ -299,9 +296,10 @@ def test_given_a_driver_whose_clock_stands_then_the_diagnosis_is_stale(arm, monk
     assert said and 'measurements with the stamp of the one before' in said[-1]
 
 
-@pytest.mark.parametrize(
-    ('step', 'interval'), [(-3 * 10**9, 10 * STEP), (-10 * STEP, 10 * STEP), (2 * 10**9, 2 * 10**9)]
-)
+OLD, BACK, SLOW = (-3 * 10**9, 10 * STEP), (-10 * STEP, 10 * STEP), (2 * 10**9, 2 * 10**9)
+
+
+@pytest.mark.parametrize(('step', 'interval'), [OLD, BACK, SLOW])
 def test_given_stamps_that_fit_no_stream_then_it_is_said_why(monkeypatch, tmp_path, step, interval):
     """Stamps that run backwards, and those of a driver that is too slow; a replay says the same."""
     entries = []

@@ -440,11 +440,8 @@ def test_given_arrays_that_do_not_fit_when_loaded_then_it_is_said(tmp_path, monk
     assert list(record.stamps['fault_estimate']) == [1, 2, 3]
     assert list(record.stamps['joint_states']) == [0, 1, 2, 3]
     left_out = [w.split()[:2] for w in record.warnings if 'number of joints does not fit' in w]
-    assert left_out == [
-        ['/joint_states:', '8'],
-        ['/torque_command:', '1'],
-        ['/fault_estimate:', '1'],
-    ]
+    counts = {'/joint_states:': '8', '/torque_command:': '1', '/fault_estimate:': '1'}
+    assert left_out == [list(one) for one in counts.items()]
 
 
 @pytest.mark.parametrize('stamps', [[], [5], [5, 5, 5], [0, 1]])

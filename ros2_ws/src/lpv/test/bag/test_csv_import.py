@@ -112,7 +112,9 @@ NO_NUMBERS = ((0, 'abc'), (1, '1.2.3'), (4, '0x10'), (6, '1 2'))
 NO_TIMES = ('', 'nan', 'inf', '-inf', '-0.001', '1e300', '1e999999999', '9e999980', '2147483648')
 LATE = (HEADER + LINES * 3000).encode() + b'\xff\xfe\n' + LINES.encode()
 NOTHING = ('', '\n', HEADER, b'\x80\x81\xff' * 50, bytes(100), LATE)
-DAMAGED = [
+
+
+@pytest.mark.parametrize(('content', 'told'), [
     # In the middle, also of a file whose last line may be cut off.
     *((HEADER + '0,1,2,3\n' + lines, r'run\.csv: line 2 has too few cells')
       for lines in (LINES, LINES.rstrip())),
@@ -123,10 +125,7 @@ DAMAGED = [
     *((HEADER.replace(name, 'other', 1) + LINES, rf"no column '{name}'; it has .*other")
       for name in ('t', 'q2', 'u1')),
     (HEADER.replace('q2', 't') + LINES, "several columns 't'"),
-]  # fmt: skip
-
-
-@pytest.mark.parametrize(('content', 'told'), DAMAGED)
+])  # fmt: skip
 def test_given_a_damaged_file_when_imported_then_only_an_error_comes_out(convert, content, told):
     pytest.raises(CsvError, convert, content, KEPT).match(told)
     assert not (convert.folder / 'bag').exists()

@@ -266,16 +266,13 @@ def harm(bag, kind):
         (bag / 'metadata.yaml').unlink()
 
 
-DAMAGES = [
+@pytest.mark.parametrize('kind, code, said, count', [
     ('cut in the summary', 0, 'nothing was lost', 24),
     ('no metadata', 0, 'nothing was lost', 24),
     ('cut in a chunk', 3, 'the recording was not finished', 6),
     ('wrong checksum', 3, r'joint_states +15 +5', 18),
     ('garbage between chunks', 3, r'joint_states +5 +15', 6),
-]
-
-
-@pytest.mark.parametrize('kind, code, said, count', DAMAGES)
+])  # fmt: skip
 def test_given_a_damaged_bag_when_recovered_then_the_new_one_is_good_and_the_old_one_untouched(
     bag, tmp_path, call, refused, kind, code, said, count
 ):

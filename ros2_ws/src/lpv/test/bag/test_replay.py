@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from bag_messages import CHATTER, JOINT_STATE, STEP, STRING, TYPESTORE, cdr, text
 from bags import contents, decoded, storage, write_bag, write_by_rosbags
-from fault_injection import with_sensors
+from fault_injection import with_joints, with_sensors
 from places import BRINGUP
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import StoragePlugin
@@ -311,8 +311,7 @@ def test_given_torques_of_any_type_when_replayed_then_the_one_before_each_sample
     """Commands are in newton metres, torques on other topics in the unit of efforts."""
     monkeypatch.setattr(reading, 'BLOCK_SIZE', 20_000)
     monkeypatch.setattr(decoder, '_MOST_ATTEMPTS', attempts)
-    joints = tuple(replace(joint, torque_gain=gain) for joint in paper_arm.joints)
-    arms = paper_arm, *[replace(paper_arm, joints=joints)] * 2
+    arms = paper_arm, *[with_joints(paper_arm, torque_gain=gain)] * 2
     twin, other, monitor = (SerialSensorMonitor('', arm, gains=paper_gains) for arm in arms)
     entries, expected, latest = [], [], [math.nan] * 2
     topic = TORQUE if msgtype == COMMAND else '/torques'
@@ -405,7 +404,9 @@ BACK = event(2.01, size=-0.3)  # the reading is right again
 RATE = Fault('a', 'rate_bias', 1.0, size=0.3)
 LONG = [event(2.3, size=-0.2, name='drift', began=1.0)]
 GROWN = (0.0, 0.0, -0.07), (0.0, 0.1, -0.1), (0.0, -0.1, -0.1), (1.0, 0.0, -0.1)
-VERDICTS = [
+
+
+@pytest.mark.parametrize('faults, events, verdicts, known', [
     ([ONE], [event(1.25), LATER], ['found'], ('drift', 0.25, 0.01)),
     ([ONE], [], ['not found'], ('', None, None)),
     ([ONE], [event(1.5, 'b')], ['wrong sensor: b'], ('', None, None)),
@@ -422,10 +423,7 @@ VERDICTS = [
     ([replace(ONE, kind='stuck')], LONG, ['found'], ('drift', 1.3, None)),
     *(([replace(ONE, kind='drift', rate=-0.1, duration=duration, size=size)], LONG, ['found'],
        ('drift', 1.3, error)) for duration, size, error in GROWN),
-]  # fmt: skip
-
-
-@pytest.mark.parametrize('faults, events, verdicts, known', VERDICTS)
+])  # fmt: skip
 def test_given_alarms_when_judged_then_each_fault_has_its_verdict(faults, events, verdicts, known):
     found = judge(faults, ReplayResult(first_stamp=START, events=events))
     assert [one.verdict for one in found] == verdicts

@@ -16,7 +16,7 @@ from campaign_files import FACTORS, SMALL, UR10, assert_same, command, resolved,
 from fault_injection import with_sensors
 from ros2_commands import Running
 
-from lpv import ConfigError, Fault, load_arm, save_gains
+from lpv import Alarm, AlarmEvent, ConfigError, Fault, load_arm, save_gains
 from lpv.campaign.execution import execute
 from lpv.campaign.execution.execute import WorkerError, chunks_of, worker_pool
 from lpv.campaign.execution.run_metrics import figures
@@ -25,7 +25,6 @@ from lpv.campaign.plan import random_paths, spec
 from lpv.campaign.plan.campaign import Campaign, resolve
 from lpv.core.control.path import CartesianPath, PlanarWaypoints, SerialPath
 from lpv.core.serial_arm.arm_file import save_arm
-from lpv.core.serial_arm.diagnosis.alarms import Alarm, AlarmEvent
 from lpv.core.simulation.closed_loop import run_closed_loop
 from lpv.core.support import config, resources
 from lpv.core.uio.model.joints import JointMap
@@ -58,28 +57,6 @@ for _field, _values in WRONG_FACTORS.items():
     _name = '.'.join(_field.split('.')[: 2 if _field.startswith('fault') else 1])
     WRONG[f'factors.{_field}'] = [{'factors': {**OF_BIAS, _name: value}} for value in _values]
 OF_REAL_ARM = {'designs': ['gains.yaml'], 'arm': 'real_arm', 'scenario': 'real_arm'}
-MISFITS = [
-    *((SMALL, field, change) for field, changes in WRONG.items() for change in changes),
-    (SMALL, 'factors.fault.sensor', {'factors': {**OF_BIAS, 'fault.sensor': 'elbow'}}),
-    (SMALL, 'factors.fault.onset', {'factors': {'noise': 1.0, 'fault.onset': 3.0}}),
-    (SMALL, 'factors.design', {'factors': {'design': 'other'}}),
-    (SMALL, 'path.waypoints[0].joints', {'scenario': 'ur10', 'factors': {}}),
-    (SMALL, 'requirement', {'designs': ['nowhere']}),
-    *((SMALL, field, {field: 'nowhere'}) for field in ('arm', 'scenario')),
-    (SMALL, 'scenario', {'factors': {'path': ['random', 'nowhere']}}),
-    (SMALL, 'gains.arm_sha256', OF_REAL_ARM),
-    (SMALL, 'gains.arm_sha256', {'designs': ['gains.yaml'], 'factors': {'sample_time': 0.004}}),
-    *(
-        (SMALL, f'factors.diagnosis.{name}', {'factors': {f'diagnosis.{name}': value}})
-        for name, value in (('hours_between_false_alarms', 0.0), ('sigmas', [3.0, 11.0]))
-    ),
-    (UR10, 'designs', {'designs': ['paper']}),
-    (UR10, 'path.waypoints', {'scenario': 'two_faults', 'factors': {}}),
-    (UR10, 'factors.disturbance', {'factors': {'disturbance': 1.0}}),
-    (UR10, 'factors.plant', {'factors': {'plant': 'lpv'}}),
-    (UR10, 'factors.fault.sensor', {'factors': {**OF_BIAS, 'fault.sensor': 'link1_angle'}}),
-]
-"""A campaign, the field that the error names, and what is wrong or does not fit files or arm."""
 
 
 @pytest.fixture(scope='module')
@@ -99,7 +76,27 @@ def serial(small):
     return [run_one(small, number) for number in range(small.spec.runs)]
 
 
-@pytest.mark.parametrize('base, field, change', MISFITS)
+@pytest.mark.parametrize('base, field, change', [
+    *((SMALL, field, change) for field, changes in WRONG.items() for change in changes),
+    (SMALL, 'factors.fault.sensor', {'factors': {**OF_BIAS, 'fault.sensor': 'elbow'}}),
+    (SMALL, 'factors.fault.onset', {'factors': {'noise': 1.0, 'fault.onset': 3.0}}),
+    (SMALL, 'factors.design', {'factors': {'design': 'other'}}),
+    (SMALL, 'path.waypoints[0].joints', {'scenario': 'ur10', 'factors': {}}),
+    (SMALL, 'requirement', {'designs': ['nowhere']}),
+    *((SMALL, field, {field: 'nowhere'}) for field in ('arm', 'scenario')),
+    (SMALL, 'scenario', {'factors': {'path': ['random', 'nowhere']}}),
+    (SMALL, 'gains.arm_sha256', OF_REAL_ARM),
+    (SMALL, 'gains.arm_sha256', {'designs': ['gains.yaml'], 'factors': {'sample_time': 0.004}}),
+    *(
+        (SMALL, f'factors.diagnosis.{name}', {'factors': {f'diagnosis.{name}': value}})
+        for name, value in (('hours_between_false_alarms', 0.0), ('sigmas', [3.0, 11.0]))
+    ),
+    (UR10, 'designs', {'designs': ['paper']}),
+    (UR10, 'path.waypoints', {'scenario': 'two_faults', 'factors': {}}),
+    (UR10, 'factors.disturbance', {'factors': {'disturbance': 1.0}}),
+    (UR10, 'factors.plant', {'factors': {'plant': 'lpv'}}),
+    (UR10, 'factors.fault.sensor', {'factors': {**OF_BIAS, 'fault.sensor': 'link1_angle'}}),
+])  # fmt: skip
 def test_given_a_wrong_field_when_read_then_it_is_named(base, field, change, tmp_path, paper_gains):
     save_gains(paper_gains, tmp_path / 'gains.yaml')
     with pytest.raises(ConfigError) as error:

@@ -14,7 +14,7 @@ from bag_messages import CHATTER, JOINT_STATE, STRING, TYPESTORE, cdr, text
 from bags import write_bag, write_by_rosbags
 from campaign_files import GAINS, UR10, command, rows_of, spec, written
 
-from lpv import AlarmEvent, ConfigError, load_arm, load_gains, load_scenario
+from lpv import Alarm, AlarmEvent, ConfigError, load_arm, load_gains, load_scenario
 from lpv.bag.rosbag.messages import BagMessages
 from lpv.bag.run.record import load_run
 from lpv.campaign.execution import archive as archives
@@ -24,7 +24,6 @@ from lpv.campaign.execution.run_to_bag import START, differences, stamps_of, wri
 from lpv.campaign.execution.runs import plan_run
 from lpv.campaign.plan.campaign import resolve
 from lpv.cli.main import main
-from lpv.core.serial_arm.diagnosis.alarms import Alarm
 
 pytestmark = pytest.mark.slow
 

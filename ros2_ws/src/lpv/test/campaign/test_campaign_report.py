@@ -6,12 +6,12 @@ import math
 import re
 import warnings
 from copy import copy
-from dataclasses import replace
 
 import numpy as np
 import pyarrow as pa
 import pytest
 from campaign_files import resolved, spec, written
+from fault_injection import with_joints
 from rich.console import Console
 from runs import assert_stands_alone
 from scipy.stats import chi2
@@ -147,14 +147,12 @@ def test_given_safe_stops_when_reported_then_each_reason_names_its_runs(campaign
     assert '0, 2, 5' in said.getvalue()
 
 
-@pytest.mark.parametrize(
-    ('fault', 'reason'), [('dropout', StopReason.NOT_TRUSTWORTHY), ('bias', StopReason.OVERSPEED)]
-)
-def test_given_a_run_that_stops_when_measured_then_its_row_says_why(fault, reason):
+@pytest.mark.parametrize(('fault', 'why'), [('dropout', 'NOT_TRUSTWORTHY'), ('bias', 'OVERSPEED')])
+def test_given_a_run_that_stops_when_measured_then_its_row_says_why(fault, why):
     of_fault = 'fault.sensor: both, fault.size: 3.0, fault.onset: 1.0'
     factors = f"{{fault.kind: {fault}, {of_fault}, compensation: 'off'}}"
     row = run_one(resolved(factors, duration=1.5), 0)
-    assert row['safe_stops'] == 1 and row['stop_reasons'] == reason.text
+    assert row['safe_stops'] == 1 and row['stop_reasons'] == StopReason[why].text
 
 
 def test_given_a_run_shorter_than_its_approach_when_measured_then_nothing_is_warned_of():
@@ -165,9 +163,8 @@ def test_given_a_run_shorter_than_its_approach_when_measured_then_nothing_is_war
 
 
 def test_given_a_joint_that_slides_when_reported_then_metres_are_told(campaign, row, tmp_path):
-    sliding, (first, second) = copy(campaign), campaign.arm.joints
-    joints = first, replace(second, type='prismatic')
-    sliding.arm = replace(campaign.arm, joints=joints)
+    sliding = copy(campaign)
+    sliding.arm = with_joints(campaign.arm, 1, type='prismatic')
     found = write_report(sliding, table(made_up(row, 120)), tmp_path, 120)
     biases = [e for e in found['detection'] if e['kind'] == 'bias']
     assert [(e['sensor'], e['unit']) for e in biases] == list(zip((*SENSORS, 'both'), UNITS))

@@ -4,6 +4,7 @@ from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
+from fault_injection import with_joints, with_sensors
 
 from lpv import ConfigError, load_arm
 from lpv.campaign.falsify.attack import Attacker, effort_of
@@ -61,8 +62,7 @@ def test_given_sensors_of_sums_when_simulated_then_each_has_its_stated_noise(pap
 
 
 def test_given_efforts_in_amperes_when_simulated_then_they_are_measured_so(ur10):
-    joints = tuple(replace(joint, torque_gain=4.0) for joint in ur10.joints)
-    both = Attacker(ur10, 0.2), Attacker(replace(ur10, joints=joints), 0.2)
+    both = Attacker(ur10, 0.2), Attacker(with_joints(ur10, torque_gain=4.0), 0.2)
     torque, current = (one.samples[:, 2] for one in both)
     assert all(one.simulate(one.attack(np.zeros(one.numbers), 1)) for one in both)
     assert torque.any() and current * 4.0 == pytest.approx(torque)
@@ -85,15 +85,14 @@ def test_given_a_serial_arm_when_attacked_then_only_a_monitor_told_too_little_is
 
 def three_joints(**changes):
     """The UR10's first joints, their model exact but for what a test says."""
-    arm = load_arm('ur10')
-    joints = tuple(replace(joint, **changes) for joint in arm.joints[:3])
-    return replace(arm, joints=joints, uncertainty=Uncertainty(0.0, 0.0, 0.0))
+    arm = with_joints(load_arm('ur10'), **changes)
+    return replace(arm, joints=arm.joints[:3], uncertainty=Uncertainty(0.0, 0.0, 0.0))
 
 
-@pytest.mark.parametrize('stated', [
-    {'effort_delay': 0.02},
-    {'torque_tolerance': TorqueTolerance((0.0, 0.5), (2.0, 10.0))},
-])  # fmt: skip
+LATE, TOLERANT = {'effort_delay': 0.02}, {'torque_tolerance': TorqueTolerance((0, 0.5), (2, 10))}
+
+
+@pytest.mark.parametrize('stated', [LATE, TOLERANT])
 def test_given_late_efforts_or_missed_torques_when_searched_then_they_are_tried(stated):
     arm, told = three_joints(**stated), three_joints()
     assert search(Attacker(arm, 2.0, monitored=told), 12)[0].ratio > 1.0
@@ -142,13 +141,9 @@ def test_given_a_short_search_when_run_then_it_comes_near_and_never_across(arm, 
 
 
 def test_given_fast_motion_between_few_samples_then_bounds_cover_it(paper_arm, paper_gains):
-    joints = [
-        replace(one, sensors=replace(one.sensors, position_noise=1e-6, velocity_noise=1e-5))
-        for one in paper_arm.joints
-    ]
     lpv = replace(paper_arm.lpv, disturbance_mean=0.0, disturbance_variance=0.0)
-    arm = replace(paper_arm, joints=tuple(joints), sample_time=0.01, lpv=lpv)
-    arm = replace(arm, uncertainty=Uncertainty(model_error=0.0))
+    arm = with_sensors(paper_arm, position_noise=1e-6, velocity_noise=1e-5)
+    arm = replace(arm, sample_time=0.01, lpv=lpv, uncertainty=Uncertainty(model_error=0.0))
     quiet = replace(paper_gains.observer, fault_sigma=np.full(2, 1e-6))
     gains = replace(paper_gains, arm_sha256=planar_model(arm).sha256(), observer=quiet)
     attacker = Attacker(arm, 3.0, gains)
@@ -185,7 +180,8 @@ def test_given_no_attack_or_guarantee_then_refused(tmp_path, ur10, paper_arm, pa
     attacker, path = Attacker(paper_arm, 1.0, paper_gains), tmp_path / 'a.yaml'
     for attack in ('3', '{joints: x}', '{joints: [[0.0]], rest: 1.0}', ''):
         path.write_text(f'{{duration: 1.0, attack: {attack}}}' if attack else '{}')
-        pytest.raises(ConfigError, repeat, attacker, read_attack(path)[0], path).match('attack')
+        with pytest.raises(ConfigError, match='attack'):
+            repeat(attacker, read_attack(path)[0], path)
     for one in (ur10, paper_arm):
         with pytest.raises(ConfigError, match='model_error'):
             Attacker(replace(one, uncertainty=Uncertainty()), 1.0)

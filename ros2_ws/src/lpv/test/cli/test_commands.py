@@ -7,11 +7,13 @@ import subprocess
 import sys
 import time
 from dataclasses import replace
+from itertools import starmap
 from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from fault_injection import with_joints
 from places import BRINGUP, DATA, ROOT
 from rich.console import Console
 
@@ -94,14 +96,11 @@ def test_given_an_arm_whose_loop_is_not_certified_when_told_then_it_is_all_that_
 
 
 def test_given_joints_when_findings_are_told_then_each_size_has_its_unit(paper_arm, capsys):
-    first, second = paper_arm.joints
-    arm = replace(paper_arm, joints=(first, replace(second, type='prismatic')))
+    arm = with_joints(paper_arm, 1, type='prismatic')
     fault = Fault('link2_angle', 'bias', 1.0, size=0.1)
     kinds = (('bias', 0.02), ('rate_bias', None), ('dropout', None))
-    said = {
-        kind: RecordedAlarm(0, 1, 'link2_angle', 0, 0, 0.12, 0.03, kind, 1.0) for kind, _ in kinds
-    }
-    found = [InjectedFault(fault, True, ('x',), 0.1, said[kind], off) for kind, off in kinds]
+    said = [RecordedAlarm(0, 1, 'link2_angle', 0, 0, 0.12, 0.03, kind, 1.0) for kind, _ in kinds]
+    found = [InjectedFault(fault, True, ('x',), 0.1, a, off) for a, (_, off) in zip(said, kinds)]
     replay.show_injected(found, arm, Console(width=200))
     told = capsys.readouterr().out
     others = '; wrongly alarmed, too: x\n'
@@ -277,6 +276,11 @@ def test_given_links_in_no_vertical_plane_when_initialised_then_it_has_no_region
     assert [joint.axis for joint in arm.joints] == [(0.0, 0.0, 1.0)] * 2 and arm.lpv is None
 
 
+def jointed(parent, link, x=0, kind='fixed'):
+    ends = f'<parent link="{parent}"/><child link="{link}"/><origin xyz="{x} 0 0"/>'
+    return f'<link name="{link}"/><joint name="{link}" type="{kind}">{ends}</joint>'
+
+
 GRIPPER = (DATA / 'gripper.urdf').read_text()
 HOLDS = ['--lock left_finger=0.02 --lock right_finger', '--joints shoulder,elbow,wrist',
          '--joints shoulder elbow wrist', '--tip tool']  # fmt: skip
@@ -296,23 +300,16 @@ def test_given_a_gripper_when_held_then_the_arm_has_the_others_and_their_frictio
 
 
 def test_given_a_camera_on_the_wrist_when_initialised_then_the_tip_is_the_deepest_link(init):
-    frames = ''.join(
-        f'<link name="{link}"/><joint name="{link}" type="fixed"><parent link="{before}"/>'
-        f'<child link="{link}"/><origin xyz="{x} 0 0"/></joint>'
-        for before, link, x in (('tool', 'mount', 0), ('mount', 'tcp', 0.2), ('hand', 'zz', 1))
-    )
-    urdf = GRIPPER.replace('</robot>', f'{frames}</robot>')
+    frames = ('tool', 'mount', 0), ('mount', 'tcp', 0.2), ('hand', 'zz', 1)
+    urdf = GRIPPER.replace('</robot>', ''.join(starmap(jointed, frames)) + '</robot>')
     arm, said = init('--joints', 'shoulder,elbow,wrist', urdf=urdf)
     assert 'tip: tcp, where loads sit; --tip names another: ' in said and ' zz' in said
     assert arm.tip == pytest.approx((0.2, 0.0, 0.3))
 
 
 def test_given_a_finger_that_is_deeper_than_the_tool_when_held_then_the_tip_is_the_tool(init):
-    pad = (
-        '<link name="pad"/><joint name="glue" type="fixed"><parent link="left"/>'
-        '<child link="pad"/></joint>'
-    )
-    arm, said = init(*HOLDS[1].split(), urdf=GRIPPER.replace('</robot>', f'{pad}</robot>'))
+    urdf = GRIPPER.replace('</robot>', f'{jointed("left", "pad")}</robot>')
+    arm, said = init(*HOLDS[1].split(), urdf=urdf)
     assert 'tip: tool, where loads sit; --tip names another: ' in said and ' pad' in said
     assert arm.tip == (0.0, 0.0, 0.3)
 
@@ -338,11 +335,8 @@ def test_given_a_joint_of_any_name_when_initialised_then_its_sensor_fails(tmp_pa
     assert scenario.faults[0].sensor == arm.sensor_names[0] == f'{name}_encoder'
 
 
-MORE = ''.join(
-    f'<link name="more{k}"/><joint name="more{k}" type="continuous"><parent link="{before}"/>'
-    f'<child link="more{k}"/></joint>'
-    for k, before in enumerate(['tool', *(f'more{k}' for k in range(39))])
-)
+LINKS = ['tool', *(f'more{k}' for k in range(40))]
+MORE = ''.join(jointed(*pair, 0, 'continuous') for pair in zip(LINKS, LINKS[1:]))
 """Forty more joints behind the tool."""
 
 

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import rclpy
 import ros
-from fault_injection import with_sensors
+from fault_injection import with_joints, with_sensors
 from places import BRINGUP, ROOT
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.time import Time
@@ -67,9 +67,8 @@ def files(paper_gains, tmp_path_factory):
         'braked': (5, {'rotor_inertia': 0.0, 'friction': JointFriction(viscous=500.0)}),
         'centred': (1, {'link': about_its_centre(ur10.joints[1].link)}),
     }.items():
-        joints = list(ur10.joints)
-        joints[number] = replace(joints[number], **changes)
-        save_arm(replace(ur10, name=name, joints=tuple(joints)), folder / f'{name}.yaml')
+        arm = with_joints(replace(ur10, name=name), number, **changes)
+        save_arm(arm, folder / f'{name}.yaml')
     observer = replace(paper_gains.observer, kappa=3.0 * paper_gains.observer.kappa)
     save_gains(replace(paper_gains, observer=observer), folder / 'changed.yaml')
     scenario = (BRINGUP / 'scenarios' / 'two_faults.yaml').read_text()
@@ -87,7 +86,8 @@ def files(paper_gains, tmp_path_factory):
     return folder
 
 
-CHECKS = [
+# The check that finds something, or none; arm, gains and scenario; what is said.
+@pytest.mark.parametrize('check, arm, gains, scenario, said', [
     ('', 'paper', GAINS, 'two_faults', "arm 'paper' holds"),
     ('', 'ur10', 'ur10', None, "loop of arm 'ur10' holds"),
     ('', 'paper', None, None, 'observes alone; lpv design designs them'),
@@ -109,11 +109,7 @@ CHECKS = [
     ('scenario', 'paper', None, './far.yaml', 'out of reach'),
     ('scenario', 'paper', None, './elbow.yaml', 'sensor'),
     ('scenario', 'paper', None, './mujoco.yaml', 'needs MuJoCo'),
-]  # fmt: skip
-"""The check that finds something, or none; arm, gains and scenario; what is said."""
-
-
-@pytest.mark.parametrize('check, arm, gains, scenario, said', CHECKS)
+])  # fmt: skip
 def test_given_files_then_misfits_are_said(files, monkeypatch, check, arm, gains, scenario, said):
     monkeypatch.setitem(sys.modules, 'mujoco', None)
     names = (name and name.replace('./', f'{files}/') for name in (arm, gains, scenario))
@@ -140,7 +136,9 @@ def test_given_this_environment_when_checked_then_nothing_is_found(monkeypatch):
 
 
 WHEELS = rclpy.__file__.startswith(sys.prefix) and sys.prefix != sys.base_prefix
-VARIABLES = [
+
+
+@pytest.mark.parametrize('name, check, levels', [
     ('ROS_DOMAIN_ID', 'domain', {'x': 'ERROR', '999': 'ERROR', '150': 'WARN', '42': 'OK'}),
     ('ROS_AUTOMATIC_DISCOVERY_RANGE', 'range',
      {'EVERYWHERE': 'ERROR', 'OFF': 'ERROR', 'SUBNET': 'OK'}),
@@ -148,10 +146,7 @@ VARIABLES = [
     ('RMW_IMPLEMENTATION', 'middleware', {'rmw_of_nobody': 'ERROR'}),
     # A sourced ROS 2 beside wheels: only where there are wheels.
     ('ROS_DISTRO', 'ros', {'jazzy': 'ERROR' if WHEELS else 'OK'}),
-]  # fmt: skip
-
-
-@pytest.mark.parametrize('name, check, levels', VARIABLES)
+])  # fmt: skip
 def test_given_a_variable_when_checked_then_it_is_judged(monkeypatch, name, check, levels):
     for value, level in levels.items():
         monkeypatch.setenv(name, value)
@@ -401,15 +396,11 @@ def of(arm, messages):
 
 
 def test_given_degrees_when_checked_then_they_are_named(paper_arm, paper_model):
-    paper_arm = replace(paper_arm, joints=tuple(
-        replace(joint, limits=JointLimits(-3.1, 3.1, 10.0, 100.0)) for joint in paper_arm.joints
-    ))  # fmt: skip
-    both = {
-        'limits: degrees': (57.3, 57.3),
-        'degrees': (57.3, 1.0),
-        'rates in degrees': (1.0, 57.3),
-    }
-    for said, (scale, rate_scale) in both.items():
+    paper_arm = with_joints(paper_arm, limits=JointLimits(-3.1, 3.1, 10.0, 100.0))
+    scales = (57.3, 57.3), (57.3, 1.0), (1.0, 57.3)
+    for said, (scale, rate_scale) in zip(
+        ('limits: degrees', 'degrees', 'rates in degrees'), scales
+    ):
         messages = recorded(paper_arm, scale=scale, rate_scale=rate_scale)
         finding = signals.check_units(of(paper_arm, messages), paper_arm)
         assert finding.level == Level.ERROR and said in finding.text

@@ -155,9 +155,8 @@ def test_given_both_methods_then_eq_65_acts(paper_arm, paper_gains, literal_gain
     x = np.concatenate([joints.absolute_velocity(offset), joints.absolute_velocity(v)])
     found = joints.absolute_torque(answer - base)
     np.testing.assert_allclose(found, gains.m1 @ x + gains.m2 @ epsilon, rtol=1e-9)
-    np.testing.assert_allclose(
-        joints.absolute_velocity(controller.parts.integral), epsilon, rtol=1e-12
-    )
+    integral = joints.absolute_velocity(controller.parts.integral)
+    np.testing.assert_allclose(integral, epsilon, rtol=1e-12)
     controller.reset()
     np.testing.assert_array_equal(controller.parts.integral, 0.0)
     # The literal method has no feed-forward.

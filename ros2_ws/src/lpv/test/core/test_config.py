@@ -134,9 +134,10 @@ def test_given_any_field_of_a_file_when_left_out_then_just_those_that_must_be_ar
     assert kind.needed <= missed
 
 
-@pytest.mark.parametrize(
-    'name', ['arms/paper', 'arms/real_arm', 'arms/ur10', 'scenarios/two_faults', 'scenarios/ur10']
-)
+FILES = 'arms/paper', 'arms/real_arm', 'arms/ur10', 'scenarios/two_faults', 'scenarios/ur10'
+
+
+@pytest.mark.parametrize('name', FILES)
 def test_given_any_number_of_a_file_when_it_is_huge_then_it_is_refused(name):
     path, is_arm = BRINGUP / f'{name}.yaml', name.startswith('arms')
     parse, options = (parse_arm, {'folder': path.parent}) if is_arm else (parse_scenario, {})
@@ -210,10 +211,12 @@ BAD = {
 """Bad values of fields; after > the field that the error names instead."""
 
 
-@pytest.mark.parametrize(
-    ('name', 'field', 'value'),
-    [(kind, k, v) for kind, fields in BAD.items() for k, values in fields.items() for v in values],
-)
+VALUES = [
+    (kind, k, v) for kind, known in BAD.items() for k, values in known.items() for v in values
+]
+
+
+@pytest.mark.parametrize(('name', 'field', 'value'), VALUES)
 def test_given_a_bad_value_in_a_file_when_read_then_its_field_is_named(kinds, name, field, value):
     field, _, named = field.partition(' > ')
     error = kinds[name].refused(field, value)

@@ -119,10 +119,8 @@ print(has_compiler)
 @pytest.mark.slow
 def test_given_functions_that_only_compiled_code_calls_then_errors_in_them_arrive(tmp_path):
     (tmp_path / 'lpv_linked.py').write_text(LINKED)
-    outputs = [
-        printed('import lpv_linked', tmp_path, XDG_CACHE_HOME=str(tmp_path))
-        for _ in range(2)  # compiled, then from what is kept
-    ]
+    cache = {'XDG_CACHE_HOME': str(tmp_path)}
+    outputs = [printed('import lpv_linked', tmp_path, **cache) for _ in ('compiled', 'kept')]
     expected = [
         '5.0 2.0', 'ValueError negative -1.0',
         'ValueError incompatible array sizes for np.dot(a, b) (vector * vector)', '4.0',

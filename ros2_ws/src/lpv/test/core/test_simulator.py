@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -21,9 +22,8 @@ TIMES = np.arange(0.0, 5.0, 0.5)
 @pytest.fixture
 def simulate(paper_arm, two_faults):
     """A simulator of the paper's arm, without faults if not said otherwise."""
-    return lambda *faults, **changes: arm_simulator.ArmSimulator(
-        paper_arm, replace(two_faults, faults=faults, **changes)
-    )
+    make = partial(arm_simulator.ArmSimulator, paper_arm)
+    return lambda *faults, **changes: make(replace(two_faults, faults=faults, **changes))
 
 
 def test_given_torques_then_effort_tells_them(paper_arm, two_faults, simulate, joints, paper_model):

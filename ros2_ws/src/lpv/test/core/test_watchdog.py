@@ -59,10 +59,9 @@ def test_given_measurements_when_unusable_for_long_then_the_arm_stops_in_the_sta
     assert reasons.index(StopReason.UNUSABLE) * 0.002 == pytest.approx(0.05, abs=0.003)
 
 
-@pytest.mark.parametrize(
-    ('latency', 'trustworthy', 'expected'),
-    [(70 * MS, True, 'LATENCY'), (0, False, 'NOT_TRUSTWORTHY'), (50 * MS, True, 'NONE')],
-)
+@pytest.mark.parametrize(('latency', 'trustworthy', 'expected'), [
+    (70 * MS, True, 'LATENCY'), (0, False, 'NOT_TRUSTWORTHY'), (50 * MS, True, 'NONE'),
+])  # fmt: skip
 def test_given_a_bad_estimate_then_the_arm_stops_at_once(tracker, latency, trustworthy, expected):
     assert estimates(tracker, [1], latency, trustworthy=trustworthy) == [StopReason[expected]]
 

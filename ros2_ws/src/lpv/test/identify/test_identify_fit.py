@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from bags import write_measurements
 from fault_injection import DATA
+from fault_injection import with_joints as changed_joints
 from scipy import stats
 from simulated_recordings import is_physical
 from ur10e_twin import recording as recording_of_twin
@@ -79,8 +80,8 @@ def test_given_links_or_friction_when_checked_or_rescaled_then_torques_are_as_th
     assert joint_torques(rescaled(arm, 1.3), *motion) == expected
     errors = {'torque_error': (0.1, 0.2, 0.3), 'torque_error_speed': (0.0, 0.1, 0.2)}
     stated = replace(arm.uncertainty, torque_error_time=0.5, **errors)
-    last = replace(arm.joints[2], rotor_coupling=0.01)
-    found = rescaled(replace(arm, uncertainty=stated, joints=(*arm.joints[:2], last)), 1.3)
+    coupled = changed_joints(replace(arm, uncertainty=stated), 2, rotor_coupling=0.01)
+    found = rescaled(coupled, 1.3)
     assert found.uncertainty.torque_error == pytest.approx((0.13, 0.26, 0.39))
     assert found.uncertainty.torque_error_speed == pytest.approx((0.0, 0.13, 0.26))
     assert found.uncertainty.torque_error_time == 0.5
@@ -96,11 +97,8 @@ def test_given_friction_that_falls_too_far_then_the_arm_can_be_read(arm, simulat
     assert parse_arm(to_mapping(found)) == found
     # What nobody could read is not written.
     out = tmp_path / 'arm.yaml'
-    with pytest.raises(
-        ConfigError,
-        match=r'arm.yaml is not written: 3 fields are wrong: \(1\) joints\[0\].friction',
-    ):
-        save_arm(slow, out)
+    told = r'arm.yaml is not written: 3 fields are wrong: \(1\) joints\[0\].friction'
+    pytest.raises(ConfigError, save_arm, slow, out).match(told)
     assert not out.exists()
 
 
@@ -146,9 +144,8 @@ def test_given_a_fault_in_the_recording_then_the_diagnosis_names_it(arm, recordi
 
 
 def test_given_efforts_without_gravity_when_identified_then_it_is_found(arm, simulated):
-    lifted, free, planar = (
-        simulated(replace(arm, gravity=g), 2, rate=30.0).rows(slice(300)) for g in (9.81, 0.0, 1e-3)
-    )
+    arms = (replace(arm, gravity=g) for g in (9.81, 0.0, 1e-3))
+    lifted, free, planar = (simulated(one, 2, rate=30.0).rows(slice(300)) for one in arms)
     without = replace(arm, effort_includes_gravity=False)
     for given, recording, text in ((arm, free, 'do not contain'), (without, lifted, 'contain')):
         found = identify(given, [recording])
@@ -189,9 +186,8 @@ def test_given_an_arm_that_pauses_in_a_short_recording_then_its_file_is_as_wrong
     torque, sigma = deviations(found, motion)
     error = torque - joint_torques(ur10e(), *motion)
     # Drives of the twin have gains 5 % and friction 20 % off those of `ur10e`.
-    other = 0.05 * np.abs(torque) + 0.2 * (
-        torque - joint_torques(with_joints(found, friction=[JointFriction()] * 6), *motion)
-    )
+    smooth = joint_torques(with_joints(found, friction=[JointFriction()] * 6), *motion)
+    other = 0.05 * np.abs(torque) + 0.2 * (torque - smooth)
     ratio = np.sqrt(np.mean(error**2 / (sigma**2 + other**2), axis=0))
     assert np.all(ratio < 2.0)
     assert np.all(np.sqrt(np.mean(error**2, axis=0) / np.mean(torque**2, axis=0)) < 0.3)
@@ -244,8 +240,7 @@ def test_given_friction_that_grows_with_load_when_identified_then_it_is_chosen(a
 def test_given_a_prismatic_joint_when_identified_then_forces_fit(arm, simulated):
     friction, limits = JointFriction(1.0, 20.0, 10.0, 100.0), JointLimits(-0.8, 0.9, 1.5, 400.0)
     changes = {'friction': friction, 'limits': limits, 'rotor_inertia': 4.0, 'type': 'prismatic'}
-    rail = replace(arm.joints[0], axis=(0.6, 0.0, 0.8), **changes)
-    arm = replace(arm, joints=(rail, *arm.joints[1:]))
+    arm = changed_joints(arm, 0, axis=(0.6, 0.0, 0.8), **changes)
     recording = simulated(arm, motion=plan_excitation(arm, 20.0, trials=10).trajectory)
     heavier = [LinkInertia.from_vector(1.2 * joint.link.to_vector()) for joint in arm.joints]
     found = identify(with_joints(arm, link=heavier), [recording])

@@ -9,23 +9,18 @@ import pytest
 import yaml
 from bags import write_measurements
 from fault_injection import DATA, csv_stream, moves_and_rests, two_links
+from fault_injection import with_joints as changed_joints
 from scipy.interpolate import make_interp_spline
 from ur10e_twin import recording as recording_of_twin
 from ur10e_twin import ur10e
 
-from lpv.core.serial_arm.arm_file import load_arm, save_arm
+from lpv import ConfigError, LpvError, load_arm
+from lpv.core.serial_arm import description
+from lpv.core.serial_arm.arm_file import save_arm
 from lpv.core.serial_arm.chain import compile_chain
-from lpv.core.serial_arm.description import (
-    JointFriction,
-    JointLimits,
-    LinkInertia,
-    LpvRegion,
-    Uncertainty,
-)
+from lpv.core.serial_arm.description import JointFriction, JointLimits, LinkInertia, LpvRegion
 from lpv.core.serial_arm.dynamics.kinematics import forward_kinematics
 from lpv.core.serial_arm.dynamics.model import SerialModel
-from lpv.core.support.errors import ConfigError, LpvError
-from lpv.core.support.resources import bringup_file
 from lpv.identify import sensors as of_sensors
 from lpv.identify.errors import IdentificationError
 from lpv.identify.estimation import delays, mistakes, payload
@@ -39,20 +34,17 @@ from lpv.identify.recordings.recording import Recording, read_recording
 from lpv.identify.results.report import residuals
 from lpv.identify.sensors import find_second_encoders, noise_deviation, quantization_step
 
-STEP = 0.004
+STEP, SLOW = 0.004, pytest.mark.slow
 
 
 @pytest.mark.parametrize('kind', ['revolute', 'prismatic', 'carried rotor'])
 def test_given_an_arm_when_computing_torques_then_they_are_those_of_the_dynamics(arm, kind):
     if kind == 'carried rotor':  # by a link, with one that turns with two joints
-        arm = load_arm(bringup_file('arms', 'real_arm'))
-        joints = arm.joints[0], replace(arm.joints[1], rotor_coupling=-0.01)
+        arm = changed_joints(load_arm('real_arm'), 1, rotor_coupling=-0.01)
     else:
-        first, second, third = arm.joints
-        joints = first, replace(second, axis=(0.6, 0.0, -0.8), type=kind), third
+        arm = changed_joints(arm, 1, axis=(0.6, 0.0, -0.8), type=kind)
         arm = replace(arm, base_orientation=(0.3, -0.2, 0.1))
-    joints = tuple(replace(joint, friction=JointFriction()) for joint in joints)
-    arm, n = replace(arm, joints=joints), len(joints)
+    arm, n = changed_joints(arm, friction=JointFriction()), len(arm.joints)
     motion = np.random.default_rng(2).normal(size=(3, 20, n))
     expected = SerialModel(compile_chain(arm)).torque(*motion)
     rows = rigid_body.RigidBody(arm).regressor(*motion)[:, :, : 10 * n]
@@ -205,9 +197,8 @@ def test_given_second_encoders_when_compared_then_they_fit_or_not(recording, arm
     (found,) = find_second_encoders(bag, {'two': 'two_link'})
     assert found.encoder.position_noise == pytest.approx(5e-4, rel=0.1)
     assert (found.scale, found.offset) == pytest.approx((-1.0, 0.1), abs=1e-3)
-    assert found.difference == pytest.approx(5e-4, rel=0.1) and 'two_link' in of_sensors.describe(
-        found, 'rad'
-    )
+    assert found.difference == pytest.approx(5e-4, rel=0.1)
+    assert 'two_link' in of_sensors.describe(found, 'rad')
     said = of_sensors.describe(found, 'm')  # of a joint that slides
     assert ' m, scale' in said and said.endswith(' mm RMS') and 'rad' not in said
     sensors = of_sensors.with_second_encoders(arm, [found]).joints[1].sensors
@@ -240,9 +231,8 @@ def refusal(arm, tmp_path, call):
 
 def test_given_what_does_not_fit_then_it_is_said_before_the_fit(arm, tmp_path, refusal):
     columns, run, new = (tmp_path / name for name in ('columns.yaml', 'run.csv', 'new'))
-    columns.write_text(
-        'time: {column: t}\nangle_unit: deg\njoints: {one: {position: q, velocity: w}}'
-    )
+    joints = 'joints: {one: {position: q, velocity: w}}'
+    columns.write_text(f'time: {{column: t}}\nangle_unit: deg\n{joints}')
     slide = replace(arm, joints=(replace(arm.joints[0], type='prismatic'),))
     said = refusal(run, '--columns', columns, arm=slide)
     assert 'columns.yaml: joints.one.unit: must be m' in said
@@ -271,10 +261,9 @@ def test_given_a_calibrated_arm_then_its_second_encoder_is_kept(arm, recording, 
     file, out, csv = (tmp_path / name for name in ('arm.yaml', 'out.yaml', 'run.csv'))
     save_arm(arm, file)
     kinds = [f'{name}_{kind}' for kind in ('pos', 'vel', 'torque') for name in arm.joint_names]
-    table = np.column_stack(
-        [recording.time, recording.position, recording.velocity, recording.effort]
-    )
-    np.savetxt(csv, table, '%.9g', ',', header=','.join(['time', *kinds]), comments='')
+    signals = recording.time, recording.position, recording.velocity, recording.effort
+    header = ','.join(['time', *kinds])
+    np.savetxt(csv, np.column_stack(signals), '%.9g', ',', header=header, comments='')
     call(*('identify', csv, '--arm', file, '--calibrate', '--second-encoder', 'one=one_pos'),
          '--out', out)  # fmt: skip
     assert load_arm(out).joints[0].sensors.second_encoder.name == 'one_pos'
@@ -327,9 +316,7 @@ ALIKE = {'mounted on a wall', 'tilt and a sign', 'other signs', 'currents'}
 """Mistakes whose like is among the fast tests: the whole suite looks for them."""
 
 
-@pytest.mark.parametrize(
-    'name', [pytest.param(n, marks=[pytest.mark.slow] * (n in ALIKE)) for n in MISTAKES]
-)
+@pytest.mark.parametrize('name', [pytest.param(n, marks=[SLOW] * (n in ALIKE)) for n in MISTAKES])
 def test_given_mistakes_then_the_most_evident_one_is_named(rough_arm, recording, name):
     kind, text, change, base = MISTAKES[name]
     arm = rough_arm if base is None else replace(rough_arm, base_orientation=base)
@@ -337,14 +324,10 @@ def test_given_mistakes_then_the_most_evident_one_is_named(rough_arm, recording,
     assert first.kind == kind and re.search(text, first.text)
 
 
-@pytest.mark.parametrize(
-    ('load', 'offset', 'said'),
-    [
-        (0.0, 0.06, r'two .* rad in b'),
-        pytest.param(0.0, 0.0, None, marks=pytest.mark.slow),
-        pytest.param(1.0, 0.0, r'by about \+1(\.\d)? kg in b', marks=pytest.mark.slow),
-    ],
-)
+@pytest.mark.parametrize(('load', 'offset', 'said'), [
+    (0.0, 0.06, r'two .* rad in b'), pytest.param(0.0, 0.0, None, marks=SLOW),
+    pytest.param(1.0, 0.0, r'by about \+1(\.\d)? kg in b', marks=SLOW),
+])  # fmt: skip
 def test_given_recordings_then_the_odd_one_is_named(rough_arm, arm, simulated, load, offset, said):
     tool = payload.Payload(load, (0.3, 0.0, 0.0), 0.0, (0.0, 0.0, 0.0), 0.0, 0.0)
     loaded = payload.with_payload(arm, tool)
@@ -369,7 +352,7 @@ class Swing:
 @pytest.mark.slow
 @pytest.mark.parametrize(('stated', 'said'), [(0.0, ['load']), (5.0, [])])
 def test_given_a_load_then_it_is_a_mistake_where_the_file_says_there_is_none(stated, said):
-    arm = replace(ur10e(), uncertainty=Uncertainty(payload=stated))
+    arm = replace(ur10e(), uncertainty=description.Uncertainty(payload=stated))
     found = mistakes.find_mistakes(arm, [recording_of_twin(1000, 2.6, 15.0)])
     assert [one.kind for one in found] == said
     assert all(re.search('about 2.. kg more than the file says', one.text) for one in found)
@@ -386,8 +369,7 @@ def as_in_a_urdf(arm):
 
 def test_given_a_wrist_with_a_geared_rotor_when_looked_at_then_no_ratio_is_doubted(arm, simulated):
     light = LinkInertia(0.5, (0.025, 0.0, 0.0), (2e-3, 0.0, 3e-3, 0.0, 0.0, 3e-3))
-    geared = replace(arm.joints[2], link=light, rotor_inertia=0.15)
-    arm = replace(arm, joints=(*arm.joints[:2], geared))
+    arm = changed_joints(arm, 2, link=light, rotor_inertia=0.15)
     fast = random_trajectory(np.random.default_rng(4), *np.outer((0.0, 1.5, 2.6), np.ones(3)), 30.0)
     one = simulated(arm, motion=fast)
     assert mistakes.find_mistakes(as_in_a_urdf(arm), [one]) == []
@@ -408,8 +390,7 @@ class Stops:
 
 def test_given_a_joint_that_slides_and_rests_then_no_names_are_swapped(arm, simulated):
     kind = {'type': 'prismatic', 'axis': (0.0, 0.0, 1.0), 'limits': JointLimits(0, 0.2, 1.0, 150.0)}
-    slide = replace(arm.joints[1], friction=JointFriction(0.0, 1.0, 60.0, 500.0), **kind)
-    arm = replace(arm, joints=(arm.joints[0], slide, arm.joints[2]))
+    arm = changed_joints(arm, 1, friction=JointFriction(0.0, 1.0, 60.0, 500.0), **kind)
     one = simulated(arm, motion=Stops((1.0, 0.09, 1.0), (1.5, 0.3, 1.5), 3))
     assert mistakes.find_mistakes(as_in_a_urdf(arm), [one]) == []
 

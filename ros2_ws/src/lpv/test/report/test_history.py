@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from fault_injection import with_joints
 from hypothesis import given
 from hypothesis import strategies as st
 from places import BRINGUP
@@ -157,7 +158,10 @@ def test_given_faults_and_alarms_when_reported_then_misses_and_false_alarms_are_
 
 
 LASTED = [event(210, 205), event(400, 205, 210, **CLEARED)]
-JUDGED = [
+
+
+# Spans of faults, alarms; how many of them are false, faults that are missed, the delay [ms].
+@pytest.mark.parametrize('faults, alarms, false, missed, delay', [
     ([(200, 201)], [event(208, 208, kind='spike')], 0, 0, 8),
     ([], [event(203, 200, kind='rate_bias')], 0, 0, None),  # the truth has no rates' faults
     ([], [event(203, 200, kind='bias')], 1, 0, None),
@@ -169,11 +173,7 @@ JUDGED = [
     ([(100, 220)], LASTED, 0, 0, 110),
     *(([span], LASTED, 1, 0, None) for span in ((300, 350), (390, 500))),
     ([(600, 800)], LASTED, 1, 1, None),
-]
-"""Spans of faults, alarms; how many of them are false, faults that are missed, the delay [ms]."""
-
-
-@pytest.mark.parametrize('faults, alarms, false, missed, delay', JUDGED)
+])  # fmt: skip
 def test_given_a_fault_and_an_alarm_then_it_is_judged(page, faults, alarms, false, missed, delay):
     record = made_up([(0, *span) for span in faults], alarms)
     values, (found,) = page(record), episodes(record)
@@ -185,8 +185,7 @@ def test_given_a_fault_and_an_alarm_then_it_is_judged(page, faults, alarms, fals
 
 
 def test_given_a_prismatic_joint_when_reported_then_its_figures_are_in_metres(paper_arm, capsys):
-    first, second = paper_arm.joints
-    arm = replace(paper_arm, joints=(first, replace(second, type='prismatic')))
+    arm = with_joints(paper_arm, 1, type='prismatic')
     alarms = [event(210, **RIGHT), event(220, sensor_index=9, sensor='of another arm')]
     record = made_up([(0, 200, 400)], alarms)
     record.joint_names, record.streams['ground_truth']['velocity'][9, 1] = arm.joint_names, 30.0
@@ -371,9 +370,7 @@ def test_given_the_states_of_a_sensor_when_drawn_then_bars_and_legend_agree(pape
 
 def test_given_an_arm_when_tabulated_then_only_the_papers_has_a_column(paper_arm, real_arm, capsys):
     assert is_paper_arm(paper_arm) and is_paper_arm(replace(paper_arm, name='mine'))
-    first, second = paper_arm.joints
-    heavier = replace(first, link=replace(first.link, mass=10.5))
-    other = replace(paper_arm, joints=(heavier, second))
+    other = with_joints(paper_arm, 0, link={'mass': 10.5})
     assert not is_paper_arm(other) and not is_paper_arm(real_arm)
     known = stream('position', 'velocity', 'fault')
     record, names = run(ground_truth=known, state_estimate=known), ['joint1', 'joint2'] * 2

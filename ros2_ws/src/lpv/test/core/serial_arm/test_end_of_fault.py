@@ -315,10 +315,9 @@ def test_given_a_frozen_reading_when_it_jumps_back_then_no_drift_begins_there(ru
     assert {event.kind for _, event in subject.answers(window.stream).events} == {'stuck'}
 
 
-@pytest.mark.parametrize(
-    ('arm', 'seed', 'joint', 'hold'),
-    [('chain3', 0, 2, 0.2), ('real_arm', 1, 0, 0.2), ('ur10', 0, 3, 0.2), ('ur10', 0, 3, 0.7)],
-)
+@pytest.mark.parametrize(('arm', 'seed', 'joint', 'hold'), [
+    ('chain3', 0, 2, 0.2), ('real_arm', 1, 0, 0.2), ('ur10', 0, 3, 0.2), ('ur10', 0, 3, 0.7),
+])  # fmt: skip
 def test_given_a_reading_that_freezes_again_and_again_then_bounds_hold(arm, seed, joint, hold):
     """An encoder that is read too rarely: a new reading every so many seconds."""
     subject = _subject(arm).with_rates('derived')

@@ -97,11 +97,9 @@ def test_given_any_payload_of_the_file_when_learned_then_the_interval_holds_it(e
     assert low <= mass <= high
 
 
-CLOSE = with_joints(
-    replace(ARM, uncertainty=description.Uncertainty(0.0, 0.0, 0.001)),
-    sensors={'position_noise': 1e-6, 'velocity_noise': 1e-5},
-    friction={'coulomb': 0.0},
-)
+QUIET = {'position_noise': 1e-6, 'velocity_noise': 1e-5}
+CLOSE = replace(ARM, uncertainty=description.Uncertainty(0.0, 0.0, 0.001))
+CLOSE = with_joints(CLOSE, sensors=QUIET, friction={'coulomb': 0.0})
 """An arm that its file states closely, but for what a test says of drives and sensors."""
 
 
@@ -234,7 +232,9 @@ def test_given_no_payload_in_the_file_when_told_then_guarantees_hold_without_a_l
 
 
 SURE, OVER = ', confidence 90.0% (statistical)', {'event': AlarmEvent.CLEARED}
-TOLD = [
+
+
+@pytest.mark.parametrize(('changes', 'told'), [
     ({}, f'ALARM, lift: error +0.0004 m (bound 0.0001 m), bias{SURE}'),
     ({'bound': np.inf}, f'ALARM, lift: error of unknown size, bias{SURE}'),
     # No bound is not a perfect estimate, nor is a small one.
@@ -252,11 +252,7 @@ TOLD = [
     (OVER, 'alarm cleared, lift: bias is over, remaining error +0.0004 m (bound 0.0001 m)'),
     ({'kind': 'dropout'}, 'ALARM, lift: no readings (dropout)'),
     ({'kind': 'dropout', **OVER}, 'alarm cleared, lift: no readings (dropout) is over'),
-]  # fmt: skip
-"""Changes of the alarm of an offset of a joint that slides, and its words."""
-
-
-@pytest.mark.parametrize(('changes', 'told'), TOLD)
+])  # fmt: skip
 def test_given_an_alarm_when_told_then_an_operator_reads_what_how_much_and_how_sure(changes, told):
     event = Alarm(AlarmEvent.RAISED, 0, 'lift', 0, 0, 4e-4, 1e-4, 'bias', 0.9, unit='m')
     assert alarm_text.describe(replace(event, **changes)) == told

@@ -27,9 +27,8 @@ def recorded(name):
     elif name == 'pushed':
         arm = shoulder_arm('independent', Uncertainty(payload=0.0, friction=0.3))
         push = Push(3.0, 4.5, (0.0, 24.0, 0.0))
-        run = simulated(
-            arm, Fault('encoder3', 'drift', 5.0, rate=0.3), pushes=(push,), duration=6.0
-        )
+        drift = Fault('encoder3', 'drift', 5.0, rate=0.3)
+        run = simulated(arm, drift, pushes=(push,), duration=6.0)
     else:
         arm = scara()
         arm = replace(arm, uncertainty=replace(arm.uncertainty, payload=0.0))
@@ -213,9 +212,8 @@ def test_given_a_pause_of_any_length_when_samples_return_then_answers_are_the_sa
         answers_to(arm, stamps + pause * (np.arange(len(stamps)) >= 700), samples)
         for pause in (200_000_000, 500_000_000)
     )
-    assert [(row, one.sensor, one.kind) for row, one in long.events] == [
-        (row, one.sensor, one.kind) for row, one in short.events
-    ]
+    told = [[(row, one.sensor, one.kind) for row, one in found.events] for found in (short, long)]
+    assert told[0] == told[1]
     for field in ('state', 'estimate', 'bound'):
         np.testing.assert_allclose(long.fault[field], short.fault[field], rtol=0.0, atol=1e-9)
 

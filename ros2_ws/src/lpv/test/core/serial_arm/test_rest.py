@@ -21,9 +21,8 @@ DURATION, PERIOD = 8.0, 0.02  # [s]
 
 def seeds(count, fast):
     """Seeds of runs; those after the first few are left to the whole suite."""
-    return [
-        seed if seed < fast else pytest.param(seed, marks=pytest.mark.slow) for seed in range(count)
-    ]
+    slow = [pytest.param(seed, marks=pytest.mark.slow) for seed in range(fast, count)]
+    return [*range(fast), *slow]
 
 
 def arm_named(name, sample_time, rates):

@@ -118,9 +118,8 @@ def products(window, last):
 
 
 def window_of(rows, weights, capacity, past=0.5):
-    window = info.new_window(
-        rows.shape[1], 1, rows.shape[2] - 2, capacity, np.zeros((0, rows.shape[2] - 2))
-    )
+    _, joints, columns = rows.shape
+    window = info.new_window(joints, 1, columns - 2, capacity, np.zeros((0, columns - 2)))
     for k, row in enumerate(rows):
         info.join(window, float(k), row, past)
         info.add_products(window, 0, weights[k])

@@ -16,7 +16,6 @@ from planar_formulas import inverse_dynamics as two_link_inverse_dynamics
 from serial_arms import middle, mixed_arm, scara, ur10_on_rail
 
 from lpv import ConfigError, LpvError, SampleError, load_arm
-from lpv.cli.main import main
 from lpv.core.export import urdf
 from lpv.core.serial_arm import arm_file, description, urdf_chain
 from lpv.core.serial_arm.certificate.model_bounds import chain_numbers
@@ -377,12 +376,10 @@ def test_given_odd_names_or_an_inertia_of_no_body_when_written_then_it_is_xml_or
     assert '<inertial>' not in urdf.arm_urdf(arm, inertial=False)
 
 
-def test_given_the_command_when_run_then_it_prints_the_urdf_of_a_file(paper_arm, capsys, tmp_path):
-    command, out = ['urdf', '--arm', str(BRINGUP / 'arms' / 'paper.yaml')], tmp_path / 'a.urdf'
-    assert main(command) == 0
-    assert capsys.readouterr().out == urdf.arm_urdf(paper_arm)
-    assert main([*command, '--out', str(out)]) == 0
-    assert out.read_text() == urdf.arm_urdf(paper_arm)
+def test_given_the_command_when_run_then_it_prints_the_urdf_of_a_file(paper_arm, call, tmp_path):
+    command, out = ['urdf', '--arm', BRINGUP / 'arms' / 'paper.yaml'], tmp_path / 'a.urdf'
+    printed, _ = call(*command).out, call(*command, '--out', out)
+    assert printed == out.read_text() == urdf.arm_urdf(paper_arm)
 
 
 @pytest.mark.parametrize('make', PRISMATIC.values(), ids=PRISMATIC)

@@ -76,9 +76,8 @@ def test_offset_from_the_start_is_named_and_measured_also_after_a_gap(joint):
 ])  # fmt: skip
 def test_step_is_named_as_one_more_sample_confirms_it_and_keeps_kind(rates, joint, period, size):
     arm = replace(shoulder_arm(rates), sample_time=period)
-    (alarm,) = watched(
-        arm, Fault(f'encoder{joint + 1}', 'bias', 2.0, size=size), duration=4.0
-    ).alarms
+    fault = Fault(f'encoder{joint + 1}', 'bias', 2.0, size=size)
+    (alarm,) = watched(arm, fault, duration=4.0).alarms
     assert (alarm.sensor, alarm.kind) == (f'encoder{joint + 1}', 'bias')
     assert alarm.detected == pytest.approx(2.0 + period, abs=1e-6)
     assert alarm.size == pytest.approx(size, abs=2e-3 if size < 0.02 else 5e-3)
@@ -235,9 +234,7 @@ def test_push_is_a_contact_and_no_fault_of_an_encoder():
     assert doubted >= round(CONTACT_TIME / monitor.plan.interval)
 
 
-@pytest.mark.parametrize(
-    ('seed', 'stated'), [(1, 2.0), (2, 2.0), (3, 2.0), (4, 2.0), (1, None), (2, None)]
-)
+@pytest.mark.parametrize(('seed', 'stated'), [*product(range(1, 5), [2.0]), (1, None), (2, None)])
 def test_given_a_load_that_is_picked_up_then_the_arm_is_another_one_and_bounds_hold(seed, stated):
     arm = shoulder_arm('independent', Uncertainty(payload=stated, friction=0.3))
     run = simulate(arm, motion_range(arm, 0.5), seed, pauses=True, payload=2.0)

@@ -119,13 +119,10 @@ def test_given_efforts_that_are_means_or_commands_then_no_encoder_is_blamed(rate
     assert delay == pytest.approx(-1.0 - 2.0 * taken, abs=0.1)
 
 
-@pytest.mark.parametrize(
-    ('first', 'shares'),
-    [
-        (799, (1.2, 0.8)),  # e of the sample before is 0.75 of the jump
-        (798, (0.7, 1.2, 0.9)),  # as if a sample were missing, which the jump's own rate explains
-    ],
-)
+@pytest.mark.parametrize(('first', 'shares'), [
+    (799, (1.2, 0.8)),  # e of the sample before is 0.75 of the jump
+    (798, (0.7, 1.2, 0.9)),  # as if a sample were missing, which the jump's own rate explains
+])  # fmt: skip
 def test_given_uneven_samples_when_a_reading_jumps_then_no_rate_explains_it(first, shares):
     arm, rng, rows = shoulder_arm(), np.random.default_rng(0), 1000
     periods = np.full(rows, arm.sample_time)

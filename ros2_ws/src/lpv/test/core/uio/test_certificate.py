@@ -17,7 +17,6 @@ from places import BRINGUP, ROOT
 from scipy.linalg import expm
 
 from lpv import ConfigError, DiagnosisParameters
-from lpv.cli.main import main
 from lpv.core.serial_arm.certificate.certified import judged
 from lpv.core.serial_arm.two_links import arm_from_json, two_link_arm
 from lpv.core.support.inequalities import is_positive_definite
@@ -30,7 +29,7 @@ from lpv_design.guarantee import guarantee
 from lpv_design.requirement import load_requirement
 from lpv_design.solve import InfeasibleError
 
-REQUIREMENTS = BRINGUP / 'requirements'
+REQUIREMENTS, SLOW = BRINGUP / 'requirements', pytest.mark.slow
 GAINS = BRINGUP / 'gains' / 'paper.yaml'
 
 
@@ -208,11 +207,6 @@ def test_given_tampered_gains_when_verified_then_the_code_is_1(tmp_path, call, f
     assert 'FAILS' in said and 'does NOT hold' in said
 
 
-def design(requirement, out, *options):
-    words = '--arm', 'paper', '--requirement', requirement, '--out', out, *options
-    return main(['design', *map(str, words)])
-
-
 def asked(folder, old, new, name='paper'):
     """A requirement like the shipped one but for some text."""
     text = (REQUIREMENTS / f'{name}.yaml').read_text()
@@ -222,18 +216,21 @@ def asked(folder, old, new, name='paper'):
 
 
 @pytest.mark.slow
-def test_given_a_design_when_asked_for_then_it_is_made_or_code_and_reason_told(tmp_path, capsys):
+def test_given_a_design_when_asked_for_then_it_is_made_or_code_and_reason_told(tmp_path, call):
+    def design(requirement, *options, code):
+        words = '--requirement', requirement, '--out', out, *options
+        return call('design', '--arm', 'paper', *words, code=code)
+
     out, picture = tmp_path / 'g.yaml', tmp_path / 'map.png'
-    assert design(REQUIREMENTS / 'paper.yaml', out, '--map', picture, '--proof') == 0
-    said = capsys.readouterr().out
+    said = design(REQUIREMENTS / 'paper.yaml', '--map', picture, '--proof', code=0).out
     assert 'REFUTED' not in said and said.count('proved') == 12
     assert 'lasting faults are detected from' in said
     assert load_gains(out).arm_name == 'paper' and picture.exists()
     out = tmp_path / 'none.yaml'
-    assert design(asked(tmp_path, 'decay: 0.25', 'decay: 55.0'), out) == 1
-    assert 'slower decay' in capsys.readouterr().err
-    assert design(asked(tmp_path, 'sinc_min: 0.96', 'sinc_min: -0.2', 'paper_literal'), out) == 3
-    said = capsys.readouterr().err
+    fast = asked(tmp_path, 'decay: 0.25', 'decay: 55.0')
+    assert 'slower decay' in design(fast, code=1).err
+    wide = asked(tmp_path, 'sinc_min: 0.96', 'sinc_min: -0.2', 'paper_literal')
+    said = design(wide, code=3).err
     assert 'not observable' in said and 'cannot be told apart' in said
     assert 0.94 < float(said.split('phi2, phi3 in [')[1].split(',')[0]) < 0.96
     assert not out.exists()
@@ -241,10 +238,9 @@ def test_given_a_design_when_asked_for_then_it_is_made_or_code_and_reason_told(t
 
 def test_given_a_torque_gain_that_gravity_exceeds_then_it_is_said(paper_model, tmp_path):
     norm = 1.0 / (24.5 * 0.3)  # link 2 at the border of the region
-    impossible, possible = (
-        load_requirement(asked(tmp_path, '  rate_noise', f'  torque_gain: {gain}\n  rate_noise'))
-        for gain in (0.99 * norm, 1.01 * norm)
-    )
+    gains = (f'  torque_gain: {share * norm}\n  rate_noise' for share in (0.99, 1.01))
+    files = (asked(tmp_path, '  rate_noise', gain) for gain in gains)
+    impossible, possible = map(load_requirement, files)
     with pytest.raises(InfeasibleError, match='unknown torque .* ask for a smaller region'):
         design_exact(paper_model, impossible.observer)
     gains, _ = design_exact(paper_model, possible.observer)
@@ -258,9 +254,7 @@ def test_given_a_torque_gain_that_gravity_exceeds_then_it_is_said(paper_model, t
             assert np.abs(response).max() <= limit * (1.0 + 1e-9)
 
 
-@pytest.mark.parametrize(
-    'design', ['paper', 'real', pytest.param('literal', marks=pytest.mark.slow)]
-)
+@pytest.mark.parametrize('design', ['paper', 'real', pytest.param('literal', marks=SLOW)])
 def test_given_any_number_that_is_used_when_forged_then_the_loader_refuses_it(request, design):
     arm = request.getfixturevalue('real_arm' if design == 'real' else 'paper_arm')
     data = request.getfixturevalue(f'{design}_gains').mapping()
@@ -381,11 +375,8 @@ def test_given_claims_that_do_not_hold_or_none_when_verified_then_they_are_not_m
 
 def test_given_the_table_of_claims_when_the_docs_are_read_then_they_claim_the_same():
     said = (ROOT / 'docs' / 'guarantees.md').read_text(encoding='utf-8')
-    claims = [
-        row
-        for name in ('paper', 'ur10')
-        for row in load_certified(BRINGUP / 'gains' / f'{name}.yaml').claims()
-    ]
+    shipped = (load_certified(BRINGUP / 'gains' / f'{name}.yaml') for name in ('paper', 'ur10'))
+    claims = [row for gains in shipped for row in gains.claims()]
     rows = [f'| {claim} | {region} | {evidence} |' for claim, region, evidence in claims]
     rows += ['| Claim | Where | Evidence |', '|---|---|---|']
     assert [row for row in rows if row not in said] == []

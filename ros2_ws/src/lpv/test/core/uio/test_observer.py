@@ -110,9 +110,8 @@ def test_given_the_paper_observer_then_eq_41_is_solved_and_steps_are_the_heun_ru
     feedback = t1 @ d.a + gains @ d.c
     matrices = feedback, feedback @ t2 - gains, t1 @ d.b  # N, L and G of eqs. (51)-(53)
     other = rng.normal(scale=0.3, size=6)
-    designed = paper_observer.PaperObserverGains(
-        'paper', box, t1, t2, gains, np.eye(6), '55', 1.0, 20.0, 15.0, np.zeros(2)
-    )
+    numbers = t1, t2, gains, np.eye(6), '55', 1.0, 20.0, 15.0, np.zeros(2)
+    designed = paper_observer.PaperObserverGains('paper', box, *numbers)
     constants = sampled_observer.observer_constants(planar, designed)
     state = records.new_record(sampled_observer.OBSERVER_STATE)
     x, y_old, y_new, u = state.x, state.y, state.after, state.torque

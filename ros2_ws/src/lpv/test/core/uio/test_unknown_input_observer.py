@@ -40,15 +40,26 @@ def answers(run, arm, gains, observer, parts=1):
     return [monitor.take_many(*part) for part in zip(*(np.array_split(r, parts) for r in rows))]
 
 
+@pytest.fixture
+def observed(paper_arm, paper_gains, run_paper):
+    """Runs the paper's arm, or one like it, without faults if not said otherwise; run and answers
+    of an observer whose gains allow for that arm."""
+
+    def run(observer, arm=paper_arm, duration=6.0, **changes):
+        gains = replace(paper_gains, arm_sha256=planar_model(arm).sha256())
+        made = run_paper(arm, gains, **{'faults': (), 'duration': duration, **changes})
+        return made, *answers(made, arm, gains, observer)
+
+    return run
+
+
 @pytest.mark.parametrize(('factors', 'payload'), [
     ((1.05, 0.95), 0.0), ((0.95, 1.05), 0.3), ((1.05, 1.05), 0.3),
 ])  # fmt: skip
-def test_given_a_healthy_arm_then_bounds_hold(paper_arm, paper_gains, run_paper, factors, payload):
+def test_given_a_healthy_arm_then_bounds_hold(paper_arm, observed, factors, payload):
     arm = replace(paper_arm, uncertainty=replace(paper_arm.uncertainty, payload=0.3))
-    gains = replace(paper_gains, arm_sha256=planar_model(arm).sha256())  # which allow for it
-    run = run_paper(arm, gains, faults=(), duration=6.0, payload=payload, mass_factors=factors,
-                    inertia_factors=factors, disturbance=False)  # fmt: skip
-    (found,) = answers(run, arm, gains, 'uio')
+    off = {'mass_factors': factors, 'inertia_factors': factors, 'disturbance': False}
+    _, found = observed('uio', arm, payload=payload, **off)
     assert found.events == []
     known = found.fault.bound[500:]
     assert np.isfinite(known).all() and known.max() < 0.5
@@ -57,11 +68,10 @@ def test_given_a_healthy_arm_then_bounds_hold(paper_arm, paper_gains, run_paper,
 
 @pytest.mark.parametrize('observer', ['uio', 'tightest'])
 def test_given_no_efforts_for_long_then_it_restarts(paper_arm, paper_gains, run_paper, observer):
-    run = run_paper(faults=(), duration=6.0)
+    run, whole = observed(observer)
     effort = run.effort.copy()
     effort[1000:1500, 1] = np.nan
     (found,) = answers(replace(run, effort=effort), paper_arm, paper_gains, observer)
-    (whole,) = answers(run, paper_arm, paper_gains, observer)
     assert found.events == [] and np.isfinite(found.state.position).all()
     assert np.all(np.abs(found.fault.estimate) <= found.fault.bound)
     np.testing.assert_allclose(found.fault.bound[-1], whole.fault.bound[-1], rtol=0.5)
@@ -70,10 +80,7 @@ def test_given_no_efforts_for_long_then_it_restarts(paper_arm, paper_gains, run_
 def test_given_constant_friction_then_it_is_known_and_bounded(paper_arm, paper_gains, run_paper):
     arm = with_joints(paper_arm, friction={'offset': 10.0})
     pytest.raises(ConfigError, UnknownInputObserver, arm, paper_gains).match('gains.arm_sha256')
-    gains = replace(paper_gains, arm_sha256=planar_model(arm).sha256())
-    run = run_paper(arm, gains, faults=(), duration=6.0)
-    (found,) = answers(run, arm, gains, 'uio')
-    (usual,) = answers(run_paper(faults=(), duration=6.0), paper_arm, paper_gains, 'uio')
+    (_, found), (_, usual) = observed('uio', arm), observed('uio')
     assert found.events == []
     assert np.all(np.abs(found.fault.estimate[500:]) <= 0.5 * found.fault.bound[500:])
     # After 0.5 s; later, dead reckoning limits both.
@@ -146,15 +153,13 @@ def test_given_slopes_and_load_then_the_error_of_friction_is_bounded(paper_model
 
 def test_given_noisy_encoders_then_angles_have_the_noise_of_their_own(paper_model, paper_gains):
     lyapunov = paper_gains.observer.lyapunov
-    angle = [
-        link.unit * np.sqrt(np.linalg.inv(p)[0, 0])
-        for link, p in zip(link_errors(paper_model), lyapunov)
-    ]
+    units = [link.unit for link in link_errors(paper_model)]
+    angle = units * np.sqrt(np.linalg.inv(lyapunov)[:, 0, 0])
     for noise in (1e-4, 0.05):
         arm = replace(paper_model, position_noise=noise, arrangement='relative')
         sigma = exact_fault_sigma(arm, lyapunov)
         observer = replace(paper_gains.observer, fault_sigma=sigma)
-        assert error_bound(arm, observer, 4.0).angle_noise == pytest.approx(4.0 * np.array(angle))
+        assert error_bound(arm, observer, 4.0).angle_noise == pytest.approx(4.0 * angle)
 
 
 @pytest.mark.parametrize(('sensor', 'size'), [(0, 0.05), (1, -0.5), (0, -0.6), (1, 0.6)])
@@ -162,9 +167,8 @@ def test_given_an_offset_from_the_start_then_its_bound_holds_it_and_a_large_one_
     paper_arm, paper_gains, run_paper, sensor, size
 ):
     fault, large = Fault(paper_arm.sensor_names[sensor], 'bias', 0.0, size=size), abs(size) > 0.5
-    options = {} if large else {'compensation': 'off'}
-    run = run_paper(faults=(fault,), duration=5.0 if large else 4.0, options=options)
-    (found,) = answers(run, paper_arm, paper_gains, 'tightest')
+    options = {'options': {} if large else {'compensation': 'off'}}
+    run, found = observed('tightest', duration=5.0 if large else 4.0, faults=(fault,), **options)
     error = np.abs(found.fault.estimate - size * (np.arange(2) == sensor))
     assert np.all(error < found.fault.bound)
     if large:
@@ -176,15 +180,13 @@ def test_given_an_offset_from_the_start_then_its_bound_holds_it_and_a_large_one_
 
 
 def test_given_the_tighter_observer_or_parts_then_bounds_agree(paper_arm, paper_gains, run_paper):
-    run = run_paper(faults=(), duration=3.0)
     names = 'tightest', 'uio', 'horizon'
-    bounds = (answers(run, paper_arm, paper_gains, name)[0].fault.bound for name in names)
-    tightest, uio, horizon = bounds
+    tightest, uio, horizon = (observed(name, duration=3.0)[1].fault.bound for name in names)
     assert np.all(np.minimum(uio, horizon) <= tightest) and np.all(tightest <= horizon)
     assert (tightest < 0.9 * horizon).any()
     fault = Fault('link1_angle', 'bias', 0.0, size=0.4, duration=4.0)
-    run = run_paper(faults=(fault,), duration=8.0, options={'compensation': 'off'})
-    (whole,) = answers(run, paper_arm, paper_gains, 'tightest')
+    options = {'faults': (fault,), 'options': {'compensation': 'off'}}
+    run, whole = observed('tightest', duration=8.0, **options)
     assert {event.sensor for _, event in whole.events} == {'link1_angle'}
     for parts in (8, 571):
         found = answers(run, paper_arm, paper_gains, 'tightest', parts)
