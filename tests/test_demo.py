@@ -42,7 +42,6 @@ def shortened(folder, name, *onsets, **changes):
 
 
 def nodes_of(folder):
-    """Command lines of the nodes that were given files in a folder."""
     lines = [' '.join(one.info['cmdline'] or ()) for one in psutil.process_iter(['cmdline'])]
     return [line for line in lines if f'{folder}/' in line and '--ros-args' in line]
 

@@ -159,7 +159,6 @@ def test_given_a_jump_below_the_smallest_step_when_it_lasts_then_nothing_is_rais
 
 
 def last_kind(cell, k):
-    """What a fault is called when it ends."""
     subject, window, _ = draw(cell, k, 1)
     fault = window.faults[0]
     events = subject.answers(window.stream.part(0.0, fault.end)).events

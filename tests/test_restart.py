@@ -68,8 +68,6 @@ def stamp_of(message):
 
 
 class Rig:
-    """A running graph, and what is heard from it."""
-
     def __init__(self, running, client, files, folder, lockstep, scenario):
         self.running, self.client, self._files = running, client, files
         self._folder, self._lockstep = folder, lockstep
@@ -114,7 +112,6 @@ class Rig:
         return messages[bisect_right(messages, moment, key=stamp_of) :]
 
     def log(self, name):
-        """What the present node of this name has logged."""
         return self.nodes[name].text()
 
     def logged(self, name, words, moment=0):
@@ -128,7 +125,6 @@ class Rig:
         return times()[0]
 
     def is_braked(self):
-        """Whether the simulator says that its brakes are engaged."""
         log = self.log('simulator')
         return log.rfind('brakes engaged') > log.rfind('brakes released')
 
@@ -292,7 +288,6 @@ def test_given_real_time_when_nodes_are_held_up_then_the_arm_goes_on_without_lea
 
 
 def assert_advances(rig, count=50):
-    """The lockstep goes on: so many new samples."""
     known = len(rig.heard['joint_states'])
     assert rig.client.wait(lambda: len(rig.heard['joint_states']) > known + count), 'stuck'
 

@@ -55,7 +55,6 @@ def write_measurements(path, names, time, position, velocity, effort, topic=JOIN
 
 
 def write_by_mcap(path, content, chunk_size=4000, **options):
-    """A file of topic, time and bytes of each message."""
     with open(path, 'wb') as file:
         writer = McapWriter(file, chunk_size=chunk_size, **options)
         writer.start(profile='ros2', library='test')
@@ -71,7 +70,6 @@ def write_by_mcap(path, content, chunk_size=4000, **options):
 
 
 def write_by_rosbags(path, entries, plugin=StoragePlugin.SQLITE3, compression=None):
-    """A bag of measurements: topic, time and bytes of each."""
     writer = RosbagsWriter(path, version=9, storage_plugin=plugin)
     if compression is not None:
         writer.set_compression(compression, CompressionFormat.ZSTD)
@@ -92,13 +90,11 @@ def contents(path):
 
 
 def decoded(path, topic, **limits):
-    """Messages of one topic of a bag, read by rosbags."""
     with AnyReader([path]) as reader:
         found = reader.messages(reader.topics[topic].connections, **limits)
         return [reader.deserialize(data, c.msgtype) for c, _, data in found]
 
 
 def storage(bag):
-    """The one MCAP file of a bag."""
     (file,) = bag.glob('*.mcap')
     return file

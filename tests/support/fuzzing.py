@@ -77,7 +77,6 @@ def _place(text, rng, pattern):
 
 
 def _set_value(text, rng, form):
-    """Put in a hostile value, or one from elsewhere in the file."""
     pattern = rng.choice((form.places[0], *form.places))
     (a, b), other = _place(text, rng, pattern).span(1), _place(text, rng, pattern).group(1)
     return text[:a] + (rng.choice(form.values) if rng.random() < 0.8 else other) + text[b:]
@@ -90,7 +89,6 @@ def _scale_number(text, rng, form):
 
 
 def _change_piece(text, rng, form):
-    """Leave out, double, move or cut a piece."""
     (a, b), c = _place(text, rng, form.piece).span(), _place(text, rng, form.piece).start()
     moved, left = text[:c] + text[a:b] + text[c:], text[:a] + text[b:]
     return rng.choice((left, moved, text[:b] + text[a:], left[:c] + text[a:b] + left[c:], text[:b]))
@@ -127,8 +125,6 @@ ENDLESS = 30.0
 
 @dataclass
 class Tally:
-    """What became of the cases of one fuzzer."""
-
     tried: int = 0
     refused: int = 0  # with a clear message
     accepted: int = 0
@@ -159,7 +155,6 @@ class Tally:
 
 
 def not_finite(value, name=''):
-    """Where a record holds numbers that are not finite."""
     if isinstance(value, (int, float, np.floating)):
         return set() if math.isfinite(value) else {f'{name} {value}'}
     if isinstance(value, np.ndarray):

@@ -50,7 +50,6 @@ def sized(message):
 
 
 def set_anything(rng, owner, name, kind):
-    """Put anything into a field that its type allows."""
     one = {
         **dict.fromkeys(('double', 'float'), lambda: float(rng.choice(FLOATS))),
         'int64': lambda: int(rng.choice(INTEGERS)), 'uint8': lambda: int(rng.integers(256)),
@@ -69,7 +68,6 @@ def set_anything(rng, owner, name, kind):
 
 
 def fill(rng, message):
-    """Put anything into all fields of a message."""
     for field in list(leaves(message)):
         set_anything(rng, *field)
     return message
@@ -101,7 +99,6 @@ def damaged_bytes(rng, message):
 
 
 def numbers(message):
-    """All numbers of a message, by field, as they are now."""
     return {
         f'{type(owner).__name__}.{name}': np.array(getattr(owner, name), float)
         for owner, name, kind in leaves(message)

@@ -17,7 +17,6 @@ def package_folders():
 
 @cache
 def module_files():
-    """Files of all modules of the workspace by their dotted names."""
     files = [
         (file.relative_to(folder.parent).with_suffix(''), file)
         for folder in package_folders().values()
@@ -28,7 +27,6 @@ def module_files():
 
 @cache
 def parsed(file):
-    """Statements of a module, and its imports, lazy ones included."""
     tree = ast.parse(file.read_text(encoding='utf-8'))
     nodes = ast.walk(tree)
     return tree.body, [one for one in nodes if isinstance(one, (ast.Import, ast.ImportFrom))]

@@ -34,6 +34,5 @@ def places(data, prefix=''):
 
 
 def numbers(data):
-    """Dotted names of all numbers of nested data."""
     kinds = (int, float)
     return [name for name, v in places(data) if isinstance(v, kinds) and not isinstance(v, bool)]

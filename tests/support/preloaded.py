@@ -29,16 +29,13 @@ class Forked:
         self.pid = self._process.pid
 
     def poll(self):
-        """Exit code, None while it runs."""
         return self._process.exitcode
 
     def send_signal(self, number):
-        """Send a signal to a process that still runs."""
         if self.poll() is None:
             os.kill(self.pid, number)
 
     def wait(self, timeout=None):
-        """Exit code, once there is one."""
         self._process.join(timeout)
         if self.poll() is None:
             raise subprocess.TimeoutExpired(str(self.pid), timeout)

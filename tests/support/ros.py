@@ -31,7 +31,6 @@ def lpv(*arguments, timeout=2000):
 
 
 def end(running):
-    """End all nodes of a graph, which have to end in order."""
     codes = running.stop()
     assert codes and set(codes.values()) == {0}, codes
 
@@ -44,5 +43,4 @@ class _Graph(Graph):
 
 
 def graph(log_dir, domain=None):
-    """A graph of nodes that ends with the test."""
     return _Graph(log_dir, next_domain() if domain is None else domain)

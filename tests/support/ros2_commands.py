@@ -12,8 +12,6 @@ ROS2 = Path(sys.prefix) / 'bin' / 'ros2'
 
 
 class Running:
-    """A ros2 command as a process that prints lines and is interrupted in the end."""
-
     def __init__(self, *words, program=(ROS2,), **options):
         options |= {'stdout': subprocess.PIPE, 'stderr': subprocess.STDOUT, 'text': True}
         line = [str(word) for word in (*program, *words)]
@@ -28,7 +26,6 @@ class Running:
             self.process.communicate()
 
     def until(self, pattern, timeout=300.0):
-        """Read lines until one matches; all lines so far as one text."""
         guard = threading.Timer(timeout, self._stop)  # which ends a line that is waited for
         guard.start()
         try:
@@ -57,6 +54,5 @@ class Running:
         return self.end(timeout)
 
     def end(self, timeout=250.0):
-        """Wait for the end; the exit code and all that was printed."""
         rest, _ = self.process.communicate(timeout=timeout)
         return self.process.returncode, ''.join(self.lines) + rest

@@ -17,7 +17,6 @@ ALL = MEASURED | {'ground_truth', 'reference'}
 
 
 def record(path, arm, gains, scenario):
-    """Bag of a simulated closed loop and the answers to it."""
     measured = path.with_name(f'{path.name}_measured')
     write_signals(arm, run_closed_loop(arm, scenario, gains), measured)
     Replay(SerialSensorMonitor('/lpv/uio', arm, gains=gains)).run(measured, path)
@@ -37,14 +36,12 @@ def copied(bag, out, keep=lambda topic: True, change=lambda topic, data: data, *
 
 
 def rows(page):
-    """Cells of all table rows of a page, as text."""
     found = re.findall(r'<tr>(.*?)</tr>', page, re.DOTALL)
     cells = [re.findall(r'<t[dh][^>]*>(.*?)</t[dh]>', row, re.DOTALL) for row in found]
     return [[html.unescape(re.sub('<[^>]*>', '', one)).strip() for one in row] for row in cells]
 
 
 def text(page):
-    """What a reader sees of a page, on one line."""
     return ' '.join(html.unescape(re.sub('<[^>]*>', ' ', page)).split())
 
 

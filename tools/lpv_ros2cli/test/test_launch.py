@@ -23,14 +23,12 @@ NODE = '<node pkg="lpv_uio" exec="uio"'
 
 
 def programs(path, **given):
-    """Programs of a launch file by their names without numbers."""
     launch = Launch(given)
     launch.include(path)
     return {program.name.rpartition('-')[0]: program for program in launch.programs}
 
 
 def options(program, option):
-    """What follows each occurrence of an option on a command line."""
     return [b for a, b in zip(program.command, program.command[1:]) if a == option]
 
 

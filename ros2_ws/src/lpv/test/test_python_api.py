@@ -17,7 +17,6 @@ pytestmark = pytest.mark.slow
 
 @pytest.fixture(scope='module')
 def page():
-    """Names that the page's code leaves behind."""
     names, text = {}, (ROOT / 'docs' / 'api.md').read_text()
     for block in re.findall(r'```python\n(.*?)```', text, re.DOTALL):
         exec(block, names)

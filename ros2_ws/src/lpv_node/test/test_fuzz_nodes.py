@@ -26,8 +26,6 @@ KINDS = (JointState, StateEstimate, FaultAlarm)
 
 
 class Recorder:
-    """A recorder that is given what would have been heard."""
-
     def __init__(self, node):
         self.node, self.sent, self._stamp = node, [], 10**18
         for kind in KINDS:
@@ -37,7 +35,6 @@ class Recorder:
             node._counts[topic] = message_loss.TopicCount()
 
     def good(self, kind):
-        """A message with the next stamp."""
         self._stamp += 2_000_000
         message = kind()
         set_stamp(message.header.stamp, self._stamp)
@@ -50,7 +47,6 @@ class Recorder:
         self.sent.append((topic, data))
 
     def stored(self):
-        """What the closed bag has."""
         path = self.node._writer.path
         self.node.end()
         return [(topic, data) for topic, _, data in contents(path)[0]]
@@ -80,8 +76,6 @@ def test_given_hostile_input_when_recorded_then_all_messages_are_stored_as_sent(
 
 
 class View:
-    """A view that takes messages and shows them at once."""
-
     def __init__(self, node):
         self.node, self.frames, self._stamp = node, [], 10**9
         node._server.frame = lambda frame: self.frames.append(server.encode(frame))
@@ -114,7 +108,6 @@ class View:
         return sum(self.node._refusals.counts.values())
 
     def is_live(self):
-        """Whether good messages are shown."""
         for inbox in 2 * self.node._inboxes:  # what is loaded at first takes its time
             self.show(inbox, serialize_message(self.good(inbox.topic.kind)))
         return all(self.node._model.frame(time.monotonic())['live'].values())

@@ -33,8 +33,6 @@ GAINS = BRINGUP / 'gains' / 'paper.yaml'
 
 
 class Session:
-    """A recorder, and a source of numbered measurements with the time of their publication."""
-
     def __init__(self, client, process, qos):
         self.client, self.process = client, process
         self.sent = []  # stamps [ns]
@@ -57,7 +55,6 @@ class Session:
             time.sleep(0.002)
 
     def stop(self, number=signal.SIGINT):
-        """Exit code of the recorder, told to stop."""
         self.process.send_signal(number)
         return self.process.wait(20)
 
@@ -69,7 +66,6 @@ class Session:
 
 
 def recorded(bag):
-    """Numbers of the measurements in a bag."""
     with open_bag(bag) as reader:
         found = [(c.msgtype, data) for c, _, data in reader.messages() if c.topic == TOPIC]
         return [int(reader.deserialize(data, kind).position[0]) for kind, data in found]

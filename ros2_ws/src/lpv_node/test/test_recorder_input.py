@@ -45,11 +45,9 @@ class Senders:
         self.heard += self.input.poll()
 
     def wait(self, condition):
-        """Search and poll until the condition holds."""
         assert self.client.wait(lambda: self.look() or condition())
 
     def names(self):
-        """What was heard, and nothing more that is still to come."""
         self.wait(lambda: len(self.heard) >= self._sent)
         self.client.wait(self.look, 0.3)
         return sorted(int(heard.data.split(b'message ')[1].split(b'\0')[0]) for heard in self.heard)

@@ -9,7 +9,6 @@ STEP = 2_000_000
 
 
 def stored(arrivals):
-    """What is written, in order."""
     written = []
     sorter = StampSorter(lambda *message: written.append(message))
     for message in arrivals:

@@ -48,8 +48,6 @@ def bridge(arm):
 
 
 class Viewer:
-    """A client that subscribes to every channel."""
-
     def __init__(self, ws):
         self.ws, self.channels = ws, {}
 

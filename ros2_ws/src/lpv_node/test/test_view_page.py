@@ -22,7 +22,6 @@ HEAD, TEXT = ('show', 'verdict-head'), ('show', 'verdict-text')
 
 @pytest.fixture
 def show(tmp_path):
-    """Runs the page through steps; what it shows when it is asked to."""
     for file in resources.files('lpv_node.view').joinpath('static').iterdir():
         if file.name.endswith('.js'):
             (tmp_path / file.name).write_text(file.read_text().replace("from '/", "from './"))

@@ -47,8 +47,6 @@ def wait(condition):
 
 
 class Served:
-    """A running server, and what was submitted to it."""
-
     def __init__(self, arm, access, **options):
         self.commands, self.answer, self.model = [], True, LiveModel(arm)
         self.server = ViewServer(access, arm.sensor_names, self._submit, **options)
@@ -84,7 +82,6 @@ class Served:
         return asyncio.run(conversation())
 
     def refusal(self, headers=None):
-        """Status with which a WebSocket is refused."""
         with pytest.raises(aiohttp.WSServerHandshakeError) as refused:
             self.talk([INJECT], headers)
         return refused.value.status
@@ -99,8 +96,6 @@ class Served:
 
 
 def get(url, **headers):
-    """Status, headers and body of a page."""
-
     async def fetch():
         async with aiohttp.request('GET', url, headers=headers) as response:
             return response.status, response.headers, await response.read()

@@ -24,7 +24,6 @@ PLACES = {'paper': [0.1, 0.2], 'ur10': [0.0, -1.6, 1.5, -1.4, -1.5, 0.0]}
 
 
 def tracker(*files, arm='ur10', scenario=None, lockstep='true', **parameters):
-    """A configured tracker of a shipped arm."""
     names = {'arm_file': arm, 'scenario_file': scenario or {'paper': 'two_faults'}.get(arm, arm)}
     return node_of(TrackerNode, *files, lockstep=lockstep, **names, **parameters)
 
@@ -163,14 +162,11 @@ def test_given_a_path_faster_than_max_speed_when_configured_then_it_is_told(capf
 
 
 class Driver:
-    """Feeds a tracker; good estimates continue one stream, whatever else comes."""
-
     def __init__(self, node):
         self.node, self.stamp = node, 10**9
         self.start = node._path.sample(0.0).position
 
     def good(self):
-        """The next estimate of an arm that follows its path."""
         self.stamp += STEP
         last = self.node.references.last
         return estimate(self.start if last is None else np.array(last.position), self.stamp)

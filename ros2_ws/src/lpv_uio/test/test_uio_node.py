@@ -42,7 +42,6 @@ TOPICS = {
 
 
 def with_outputs(node):
-    """Outputs of a node that take the place of its publishers."""
     outputs = {name: Output(kind) for name, (_, kind) in TOPICS.items()}
     for name, output in outputs.items():
         setattr(node, f'_{name}_out', output)
@@ -112,7 +111,6 @@ class Arm:
         return self.stamped(JointState(name=list(self.node._arm.joint_names), **values))
 
     def send(self, message):
-        """What is published on a measurement."""
         self.node._on_measurement(message)
         found = self.state.take()
         others = [output.take() for output in self.outputs.values()]

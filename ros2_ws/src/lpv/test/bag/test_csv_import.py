@@ -33,8 +33,6 @@ ROWS = st.dictionaries(TIMES, st.lists(CELL, min_size=6, max_size=6), min_size=1
 
 @pytest.fixture(scope='module')
 def convert(tmp_path_factory):
-    """Imports a text in a folder of its own: warnings, messages, bag."""
-
     def run(content, columns=COLUMNS, **options):
         folder = run.folder = tmp_path_factory.mktemp('csv')
         source, mapping, out = (folder / n for n in ('run.csv', 'columns.yaml', 'bag'))

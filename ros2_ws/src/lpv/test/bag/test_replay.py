@@ -66,7 +66,6 @@ def status(stamp, name):
 
 
 def measured(loop, shift=0, **changes):
-    """Entries of the measurements alone, with other stamps and fields."""
     for stamp, m, _ in loop:
         message = MESSAGES.joint_state(stamp + shift, m.name, m.position, m.velocity, m.effort)
         yield MEASURED, stamp + shift, replace(message, **changes)
@@ -104,8 +103,6 @@ def new_monitor(paper_arm, paper_gains):
 
 @pytest.fixture
 def replay(new_monitor, tmp_path):
-    """Replays a bag with a new monitor; its result and output."""
-
     def run(source, faults=(), monitor=None, out='out', **options):
         monitor = monitor or new_monitor()
         names, rng = monitor.arm.sensor_names, np.random.default_rng(7)

@@ -50,7 +50,6 @@ def played(paper_arm, paper_gains, two_faults, tmp_path_factory):
 
 
 def measurements(bag, **limits):
-    """Stamps and contents of a bag's measurements."""
     return {to_nanoseconds(m.header.stamp): m for m in decoded(bag, MEASURED, **limits)}
 
 

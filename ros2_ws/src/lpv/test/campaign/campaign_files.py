@@ -32,7 +32,6 @@ factors: {path: random, fault.kind: [none, bias], fault.sensor: [elbow_encoder, 
 
 
 def resolved(*given, **changes):
-    """The campaign of a file like the above."""
     return resolve(spec(*given, **changes), 'spec', '.')
 
 
@@ -46,7 +45,6 @@ def command(file, out):
 
 
 def rows_of(folder, name='runs'):
-    """Rows of a folder of results."""
     return pq.read_table(folder / f'{name}.parquet').to_pylist()
 
 

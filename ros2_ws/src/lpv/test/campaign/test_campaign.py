@@ -66,7 +66,6 @@ def small():
 
 @pytest.fixture(scope='module')
 def few():
-    """The first of its runs."""
     return resolve(FEW, 'few', '.')
 
 
@@ -347,7 +346,6 @@ def cluster(tmp_path):
 
 
 def chunks(campaign, workers=None, scheduler=None, size=8):
-    """Rows chunk by chunk."""
     with worker_pool(workers, scheduler) as do:
         for _, rows in do(campaign, chunks_of(campaign, size)):
             yield rows

@@ -42,7 +42,6 @@ BAD = {'b/junk.mcap': 'damaged', 'b/lonely': 'no metadata.yaml with files',
 
 @pytest.fixture(scope='module')
 def results(tmp_path_factory):
-    """Results folder of the campaign."""
     folder = tmp_path_factory.mktemp('campaign')
     assert main(command(written(folder / 'spec.yaml', SPEC), folder / 'out')) == 0
     return folder / 'out'
@@ -174,13 +173,11 @@ def test_given_figures_when_compared_then_last_bits_and_missing_ones_do_not_coun
 
 @pytest.fixture(scope='module')
 def runs():
-    """Plans and runs by name."""
     plans = [plan_run(resolve(FLEET, 'fleet', '.'), number) for number in range(3)]
     return {n: (p, p.simulate()) for n, p in zip(('healthy', 'bias', 'dropout'), plans)}
 
 
 def write_files(root, content):
-    """Files by their path."""
     for name, data in content.items():
         (root / name).parent.mkdir(parents=True, exist_ok=True)
         (root / name).write_bytes(data)
@@ -188,7 +185,6 @@ def write_files(root, content):
 
 @pytest.fixture(scope='module')
 def archive(runs, tmp_path_factory):
-    """An archive with good bags and bad ones."""
     root = tmp_path_factory.mktemp('archive')
     for bag in GOOD[:3]:
         write_run_bag(*runs[bag[2:]], root / bag)

@@ -116,7 +116,6 @@ def test_given_joints_when_findings_are_told_then_each_size_has_its_unit(paper_a
 
 @pytest.fixture
 def launch(tmp_path, monkeypatch):
-    """Runs the demo's graph with a script in the place of the launch."""
     program, scenario = tmp_path / 'ros2', load_scenario('ur10')
     monkeypatch.setattr(demo.shutil, 'which', lambda *_, **__: str(program))
 

@@ -17,7 +17,6 @@ from lpv.report.comparison import Tolerances, compare_runs, load_pair
 
 
 def replay(out, estimates_only=False, **changes):
-    """The reference recording with the answers to other parameters of the diagnosis."""
     monitor = reference.monitor(parameters=DiagnosisParameters(**changes))
     Replay(monitor, estimates_only=estimates_only).run(reference.BAG, out)
     return out

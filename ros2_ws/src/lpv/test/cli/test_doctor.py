@@ -45,12 +45,10 @@ def bad(findings):
 
 
 def found(findings):
-    """Names of the checks that found something."""
     return [f.check for f in bad(findings)]
 
 
 def about_its_centre(link):
-    """A link whose file gives its inertia about the centre of mass."""
     mass, x, y, z = link.mass, *link.first_moment
     moved = np.array([y * y + z * z, -x * y, x * x + z * z, -x * z, -y * z, x * x + y * y]) / mass
     return replace(link, inertia=tuple((np.array(link.inertia) - moved).tolist()))
@@ -195,7 +193,6 @@ def shot(paper_arm):
 
 
 def heard(stamps=STAMPS, delay=1_000_000, **fields):
-    """Measurements as they arrived."""
     return [(stamp + delay, message(stamp, **fields)) for stamp in stamps]
 
 
@@ -216,12 +213,10 @@ def still_clock(shot):
 
 
 def given(part, key, value):
-    """The mistake of one value of a snapshot."""
     return lambda shot: getattr(shot, part).update({key: value})
 
 
 def sent(**fields):
-    """The mistake of what the driver sends."""
     return given('measured', JOINTS, heard(**fields))
 
 
@@ -382,7 +377,6 @@ moving = cache(simulated_run)
 
 
 def recorded(arm, duration=1.2, scale=1.0, rate_scale=1.0, sign=1.0, rates=True):
-    """What the driver of a moving arm sends."""
     run, messages = moving(arm, duration), []
     for stamp, (q, v, tau) in zip(run.stamps.tolist(), run.samples):
         velocity = rate_scale * v if rates else ()
@@ -391,7 +385,6 @@ def recorded(arm, duration=1.2, scale=1.0, rate_scale=1.0, sign=1.0, rates=True)
 
 
 def of(arm, messages):
-    """What is heard of an arm."""
     return signals.hear('/joint_states', [(NOW, one) for one in messages], arm)
 
 

@@ -10,8 +10,6 @@ from lpv.core.uio.model.joints import JointMap
 
 @pytest.fixture(scope='session')
 def run_paper(paper_arm, paper_gains, two_faults):
-    """Runs the shipped scenario with other fields of it, and options of a run."""
-
     def run(arm=paper_arm, gains=paper_gains, options=None, **changes):
         return run_closed_loop(arm, replace(two_faults, **changes), gains, **(options or {}))
 

@@ -183,7 +183,6 @@ def test_given_an_error_signal_when_its_mise_is_taken_then_it_is_the_mean_square
 
 @pytest.fixture
 def simulate(arm, gains_of, two_faults):
-    """Run an arm's scenario with the given faults and other fields."""
     gains = gains_of[arm.name]
     scenario = two_faults if arm.name == 'paper' else parse_scenario(SWING)
 

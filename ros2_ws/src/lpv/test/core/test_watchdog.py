@@ -49,7 +49,6 @@ def commands(drives, steps, latency, velocity=STILL):
 
 
 def motion(tracker, step, reference, fed_back, position):
-    """What the tracker says to a motion at one step."""
     return tracker.check_motion(step * STEP, reference, fed_back, position)
 
 

@@ -41,8 +41,6 @@ def motion():
 
 @pytest.fixture(scope='session')
 def simulated(motion):
-    """Records an arm on a motion, with noise of a seed."""
-
     def record(arm, seed=1, rate=100.0, motion=motion, **noise):
         return simulate(arm, motion, rate, SensorNoise(**noise), np.random.default_rng(seed))
 

@@ -143,7 +143,6 @@ def segment(noise=1e-5, delay=0.0):
 
 
 def found(position, velocity, kept=slice(None)):
-    """What is found of sensors whose samples are given."""
     time = STEP * np.arange(len(position))
     recording = Recording('r', time, position, velocity, np.round(position, 2)).rows(kept)
     return of_sensors.sense([recording], np.zeros(1), np.zeros(1))
@@ -270,7 +269,6 @@ def test_given_a_calibrated_arm_then_its_second_encoder_is_kept(arm, recording, 
 
 
 def changed(change, *names):
-    """A recording whose signals of some names, or all, are others."""
     names = names or ('position', 'velocity', 'effort')
     return lambda r: replace(r, **{name: change(getattr(r, name)) for name in names})
 

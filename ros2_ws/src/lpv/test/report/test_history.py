@@ -102,13 +102,11 @@ def made_up(faults=None, alarms=None, lost=(), stopped=()):
 
 @pytest.fixture
 def page(paper_arm):
-    """Values of the page of a record."""
     return lambda record, reports=None: content(analysed(record, paper_arm, reports))
 
 
 @pytest.fixture
 def shown(paper_arm, tmp_path, monkeypatch):
-    """Page of a record, without pictures."""
     monkeypatch.setattr('lpv.report.page.picture', lambda *_: b'')
 
     def html(record, reports=None):

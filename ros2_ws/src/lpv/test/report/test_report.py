@@ -57,7 +57,6 @@ def run(paper_arm, paper_gains, two_faults, tmp_path_factory):
 
 @pytest.fixture
 def bag(run, tmp_path):
-    """The same bag in a place of its own."""
     return shutil.copytree(run, tmp_path / 'bag')
 
 
@@ -75,7 +74,6 @@ def loaded(run, gains_file, paper_arm, two_faults):
 
 @pytest.fixture(scope='module')
 def report(loaded, tmp_path_factory):
-    """The page of the report with pictures."""
     return write_report(loaded, tmp_path_factory.mktemp('report') / 'new' / 'folder')
 
 
@@ -85,7 +83,6 @@ def page(report):
 
 
 def pictures(report):
-    """Names of the pictures beside a page."""
     return {path.stem for path in report.parent.glob('*.png')}
 
 
@@ -97,8 +94,6 @@ def plain(monkeypatch):
 
 @pytest.fixture
 def page_of(plain, paper_arm, tmp_path):
-    """Page of a bag, without pictures."""
-
     def write(bag, *given, **options):
         page = write_report(load(bag, paper_arm, *given, **options), tmp_path / 'report')
         return page.read_text(encoding='utf-8')

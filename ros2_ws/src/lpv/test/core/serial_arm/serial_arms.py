@@ -44,7 +44,6 @@ def shoulder_arm(rates: str = 'derived', uncertainty: Uncertainty = KNOWN) -> Se
 
 
 def with_rates(arm: SerialArm, rates: str, **changes) -> SerialArm:
-    """An arm whose rates come from elsewhere, and other changes."""
     return replace(with_sensors(arm, rates=rates), **changes)
 
 
@@ -55,7 +54,6 @@ def simulated(arm, *faults, pushes=(), seed=1, duration=8.0, plant=None) -> Run:
 
 
 def watch(arm, run) -> Watched:
-    """The monitor of an arm after a run."""
     monitor = Watched(arm)
     monitor.take(run.stamps, run.samples)
     return monitor
@@ -69,7 +67,6 @@ def delivered(arm: SerialArm, samples) -> Stream:
 
 
 def blamed(monitor) -> list[tuple[str, str]]:
-    """Sensors that a monitor named, and of what."""
     return [(alarm.sensor, alarm.kind) for alarm in monitor.alarms if alarm.sensor]
 
 
@@ -112,7 +109,6 @@ def floats(values):
 
 
 def arm_of(name: str, rows: tuple, tip: tuple[float, float, float]) -> SerialArm:
-    """An arm of joints that are described by rows as above."""
     joints = tuple(_joint(*row) for row in rows)
     return SerialArm(name, joints, tip=tip, uncertainty=Uncertainty(0.5, 0.3))
 
@@ -131,7 +127,6 @@ def ur10_on_rail() -> SerialArm:
 
 
 def mixed_arm(seed: int = 9, joints: int = 9) -> SerialArm:
-    """Joints of both types in any direction."""
     rng, rows = np.random.default_rng(seed), []
     for i in range(joints):
         axis, turn = rng.normal(size=3), floats(rng.uniform(-3.0, 3.0, 3))
@@ -145,5 +140,4 @@ def mixed_arm(seed: int = 9, joints: int = 9) -> SerialArm:
 
 
 def middle(arm: SerialArm) -> np.ndarray:
-    """Positions in the middle of the joints' ranges."""
     return np.array([0.5 * sum(joint.range) for joint in arm.joints])

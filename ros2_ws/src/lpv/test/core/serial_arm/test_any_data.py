@@ -38,7 +38,6 @@ def arm_of(rng, joints, sample_time):
 
 
 def recording(rng, arm, count):
-    """Stamps, and readings, rates, efforts of a motion."""
     n, period = len(arm.joints), arm.sample_time
     t, pace = period * np.arange(count)[:, None], rng.uniform(0.5, 4.0, n)
     phase, size = pace * t + rng.uniform(-3.0, 3.0, n), rng.uniform(0.0, 1.0, n)
@@ -100,7 +99,6 @@ def spoil(rng, kind, stamps, samples):
 
 
 def values(answers):
-    """All arrays of answers by name."""
     found = {'answered': answers.answered, 'restarted': answers.restarted}
     for part in ('state', 'fault'):
         rows = np.asarray(getattr(answers, part))

@@ -29,8 +29,6 @@ SETTLED = 0.1  # after a change, until samples that waited are used [s]
 
 
 class Run:
-    """One fault of one sensor of a simulated arm, and what the monitor says."""
-
     def __init__(self, arm, rates, fault, joint, duration, count_lost=False, lost=0, beside=0.0):
         subject, (kind, size) = _subject(arm).with_rates(rates), fault
         self.name, self.end = subject.arm.sensor_names[joint], ONSET + duration

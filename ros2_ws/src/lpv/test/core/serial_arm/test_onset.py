@@ -31,7 +31,6 @@ def monitor():
 
 
 def watch_to_decision(arm, run, first):
-    """The monitor at the first decision from a sample on; nothing is named."""
     monitor = Watched(arm, hours_between_false_alarms=np.inf)
     monitor.take(run.stamps[:first], run.samples[:first])
     for stamp, sample in zip(run.stamps[first:], run.samples[first:]):

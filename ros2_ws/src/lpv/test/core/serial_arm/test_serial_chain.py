@@ -188,7 +188,6 @@ def test_given_mutated_files_then_torques_are_finite_or_why_not_is_said(tmp_path
 
 
 def deep(count, kind='fixed'):
-    """A chain of so many links."""
     links = ''.join(f'<link name="l{i}"/>' for i in range(count + 1))
     joints = ''.join(JOINT.format(i, kind, i + 1, LIMIT) for i in range(count))
     return f'<robot name="r">{links}{joints}</robot>'

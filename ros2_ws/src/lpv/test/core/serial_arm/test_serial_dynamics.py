@@ -50,7 +50,6 @@ def random_chain(seed, joints):
 
 
 def pinocchio_model(chain):
-    """The same arm, built body by body."""
     model = pin.Model()
     for i in range(len(chain.translation)):
         place = pin.SE3(chain.rotation[i], chain.translation[i])
@@ -70,7 +69,6 @@ def random_motion(seed, joints):
 
 
 def written(function, chain, motion, *shapes):
-    """What a compiled function of the dynamics writes."""
     arrays = [np.empty(shape) for shape in shapes]
     function(chain, *motion, workspace(chain), *arrays)
     return arrays

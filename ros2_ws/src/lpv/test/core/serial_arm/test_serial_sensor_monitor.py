@@ -46,7 +46,6 @@ def recorded(size=0.05, duration=2.0):
 
 
 def observe(stamps, samples, monitor=None):
-    """A monitor, and its answers to a recording."""
     monitor = monitor or SerialSensorMonitor('/uio', ARM)
     return monitor, monitor.take_many(stamps, *np.moveaxis(samples, 1, 0))
 

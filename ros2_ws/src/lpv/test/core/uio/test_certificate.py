@@ -208,7 +208,6 @@ def test_given_tampered_gains_when_verified_then_the_code_is_1(tmp_path, call, f
 
 
 def asked(folder, old, new, name='paper'):
-    """A requirement like the shipped one but for some text."""
     text = (REQUIREMENTS / f'{name}.yaml').read_text()
     assert old in text
     (folder / 'asked.yaml').write_text(text.replace(old, new))

@@ -40,7 +40,6 @@ def test_given_factors_or_a_payload_then_links_follow_and_mass_is_positive(paper
 
 
 def conversions(joints):
-    """Each conversion, and the one back."""
     kinds = 'position', 'velocity', 'torque'
     return [tuple(getattr(joints, f'{to}_{of}') for to in ('absolute', 'joint')) for of in kinds]
 

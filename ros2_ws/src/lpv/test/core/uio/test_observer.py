@@ -70,11 +70,9 @@ class Exact:
         return self.state.x.copy()
 
     def truth(self, t, bias=(0.0, 0.0)):
-        """Angles, rates, faults."""
         return np.concatenate([*self.motion.absolute(t)[:2], bias])
 
     def follow(self, count, faults, wrong=(0.0, 0.0)):
-        """Estimates along the motion from a start with wrong angles."""
         y = self.motion.outputs(0.0, faults[0])
         start = self.truth(0.0, faults[0])
         start[:2] += wrong
@@ -231,7 +229,6 @@ def update(observer, stamp, *measured):
 
 
 def follow(observer, swing, first, last, fault=(0.0, 0.0), every=1):
-    """Feed samples first..last and return the last estimate."""
     estimate = None
     for k in range(first, last + 1, every):
         estimate = update(observer, k * TS, *swing.sample(k * 0.002, every * 0.002, fault))
