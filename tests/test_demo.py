@@ -1,5 +1,3 @@
-"""The whole pipeline as a user runs it: ``lpv demo``, what it records, and replays of it."""
-
 import os
 import re
 import shutil

@@ -1,5 +1,3 @@
-"""The documentation fits the code: references and links resolve, the tutorial runs as printed."""
-
 import inspect
 import pkgutil
 import re

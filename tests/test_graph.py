@@ -1,5 +1,3 @@
-"""The real graph: nodes as processes, services, alarms, recordings; nodes that cannot start."""
-
 import sys
 from dataclasses import replace
 

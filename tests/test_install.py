@@ -1,5 +1,3 @@
-"""Installations: our ros2 command, tab completion, shells; by pip, without ROS and compiler."""
-
 import os
 import re
 import shutil

@@ -1,5 +1,3 @@
-"""Nodes that are killed, restarted or fed with anything while others run: safe state, recovery."""
-
 import os
 import re
 import signal

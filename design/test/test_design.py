@@ -1,5 +1,3 @@
-"""Gain design: what is infeasible, what is feasible, and that every check can refuse."""
-
 from dataclasses import replace
 from functools import cache
 from itertools import product

@@ -1,5 +1,3 @@
-"""The launch files: what they start with which arguments, and how it ends."""
-
 import os
 import re
 import shutil

@@ -1,5 +1,3 @@
-"""The verbs of the ros2 command, against nodes in this process."""
-
 import math
 import re
 import subprocess

@@ -1,5 +1,3 @@
-"""The Python API, as docs/api.md shows it."""
-
 import re
 from dataclasses import replace
 

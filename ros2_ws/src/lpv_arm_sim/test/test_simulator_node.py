@@ -1,5 +1,3 @@
-"""Answers of the simulator node to good and hostile commands and requests, without a graph."""
-
 from copy import deepcopy
 
 import numpy as np

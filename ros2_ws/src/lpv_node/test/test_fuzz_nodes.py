@@ -1,5 +1,3 @@
-"""Hostile messages and parameters for recorder and live view, which take them and go on."""
-
 import time
 from functools import partial
 

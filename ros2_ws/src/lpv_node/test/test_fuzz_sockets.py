@@ -1,5 +1,3 @@
-"""Hostile clients of the page's socket, and of the ports of page and Foxglove."""
-
 import asyncio
 import contextlib
 import json

@@ -1,5 +1,3 @@
-"""What nodes declare, described and bounded and with units, and what they refuse."""
-
 import importlib
 import math
 import re

@@ -1,5 +1,3 @@
-"""The recorder as a process: killed, stopped, out of space, splitting, recording all there is."""
-
 import os
 import re
 import signal

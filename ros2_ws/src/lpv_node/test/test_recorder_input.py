@@ -1,5 +1,3 @@
-"""Input of the recorder: publishers of one topic that offer different quality of service."""
-
 import os
 import socket
 

@@ -1,5 +1,3 @@
-"""Messages that are serialised once and then filled in place."""
-
 import math
 
 import numpy as np

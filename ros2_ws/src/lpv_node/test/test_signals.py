@@ -1,5 +1,3 @@
-"""Signals as exceptions, also where Python cannot raise; while a node's process starts and ends."""
-
 import signal
 import subprocess
 import sys

@@ -1,5 +1,3 @@
-"""Messages of a lockstep run are stored in an order that does not depend on their arrival."""
-
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 

@@ -1,5 +1,3 @@
-"""The Foxglove protocol, with a plain WebSocket client of it."""
-
 import asyncio
 import json
 import re

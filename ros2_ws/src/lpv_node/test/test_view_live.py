@@ -1,5 +1,3 @@
-"""The live view on a running graph: in a browser, over the Foxglove protocol, as ROS topics."""
-
 import asyncio
 import os
 import re

@@ -1,5 +1,3 @@
-"""What the live view makes of messages, without ROS."""
-
 import json
 import math
 import re

@@ -1,5 +1,3 @@
-"""The live page in a stand-in of a browser, fed with what the live view makes of messages."""
-
 import json
 import math
 import shutil

@@ -1,5 +1,3 @@
-"""The web server of the live view: who gets in, what is refused, and that nothing stops it."""
-
 import asyncio
 import json
 import socket

@@ -1,5 +1,3 @@
-"""Answers of the tracker node to good, wrong and hostile estimates, without a graph."""
-
 from types import SimpleNamespace
 
 import numpy as np

@@ -1,5 +1,3 @@
-"""References that are computed ahead: the same as one by one."""
-
 from dataclasses import astuple
 
 import numpy as np

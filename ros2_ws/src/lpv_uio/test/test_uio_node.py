@@ -1,5 +1,3 @@
-"""Answers of the observer's node to good, wrong and hostile measurements, without a graph."""
-
 import time
 from copy import deepcopy
 from types import SimpleNamespace

@@ -1,5 +1,3 @@
-"""Bags as files and as arrays: what is read, by others too, is what was written, in any order."""
-
 import json
 import math
 import re

@@ -1,5 +1,3 @@
-"""CSV recordings as bags: exact stamps, units, missing values, damaged files."""
-
 import math
 import re
 

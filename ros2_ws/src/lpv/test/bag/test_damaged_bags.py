@@ -1,5 +1,3 @@
-"""Bags that are cut off, damaged or odd: what can be had is had, nothing wrong is let through."""
-
 import contextlib
 import random
 import re

@@ -1,5 +1,3 @@
-"""Replays of recorded bags: same answers as online, everything else untouched, damaged bags."""
-
 import math
 import re
 import shutil

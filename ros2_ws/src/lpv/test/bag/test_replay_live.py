@@ -1,5 +1,3 @@
-"""Bags that are played to a node: what it hears, and when; and the player's options."""
-
 import os
 import time
 from dataclasses import replace

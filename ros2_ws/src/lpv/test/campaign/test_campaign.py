@@ -1,5 +1,3 @@
-"""Campaigns: files, plans, runs, results on disk, going on after a crash, also on a cluster."""
-
 import contextlib
 import os
 import re

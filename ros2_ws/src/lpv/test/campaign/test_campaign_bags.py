@@ -1,5 +1,3 @@
-"""Bags of runs of campaigns, with files to repeat them; archives of bags, and what figures say."""
-
 import json
 import os
 import re

@@ -1,5 +1,3 @@
-"""Reports of campaigns: made-up rows with known answers, a page that is whole, the command."""
-
 import io
 import json
 import math

@@ -1,5 +1,3 @@
-"""The falsifier: attacks within the arm file, a search, files that repeat."""
-
 from dataclasses import asdict, replace
 
 import numpy as np

@@ -1,5 +1,3 @@
-"""Tuning: a search on Optuna's storage, resumed, validated on other runs, never worse gains."""
-
 import json
 from functools import cache
 

@@ -1,5 +1,3 @@
-"""What all commands share: help, progress, what is said of what is missing."""
-
 import io
 import re
 import signal

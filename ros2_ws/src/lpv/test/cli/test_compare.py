@@ -1,5 +1,3 @@
-"""Comparison of runs, and the reference that the diagnosis is held to."""
-
 import itertools
 import json
 import re

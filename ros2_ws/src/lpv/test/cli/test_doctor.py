@@ -1,5 +1,3 @@
-"""``lpv doctor``: every finding, on files, on the environment, and on graphs."""
-
 import json
 import re
 import sys

@@ -1,5 +1,3 @@
-"""Plant, observer, diagnosis and tracking together, under every kind of fault; the tracking law."""
-
 import os
 import subprocess
 import sys

@@ -1,5 +1,3 @@
-"""Arm, scenario, gains files and others: errors name the field, nothing passes in silence."""
-
 import functools
 import math
 import re

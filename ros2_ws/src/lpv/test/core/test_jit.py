@@ -1,5 +1,3 @@
-"""Compiled code is kept per state of the sources: none that is stale runs; locks."""
-
 import os
 import signal
 import subprocess

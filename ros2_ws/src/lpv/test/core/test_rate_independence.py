@@ -1,5 +1,3 @@
-"""Whether rates are independent of the positions: made signals, and a real arm whose are not."""
-
 import math
 
 import numpy as np

@@ -1,5 +1,3 @@
-"""The simulator: its plants, its sensors and the faults that it injects."""
-
 import math
 from dataclasses import replace
 from functools import partial

@@ -1,5 +1,3 @@
-"""Watchdogs of tracker and drives: each reason to stop, in time; the arm never runs away."""
-
 from dataclasses import replace
 
 import numpy as np

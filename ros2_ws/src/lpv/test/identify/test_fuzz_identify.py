@@ -1,5 +1,3 @@
-"""Hostile recordings for identification: refused clearly, or samples and parameters are finite."""
-
 import numpy as np
 import pytest
 from bags import storage, write_measurements

@@ -1,5 +1,3 @@
-"""Identification of arms that are known, and of real ones; recordings read, mended or refused."""
-
 import re
 from dataclasses import replace
 

@@ -1,5 +1,3 @@
-"""Regressors, motions, sensors and the mistakes of a set-up; the calibration of a given model."""
-
 import re
 from dataclasses import replace
 from types import SimpleNamespace

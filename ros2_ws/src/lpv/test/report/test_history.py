@@ -1,5 +1,3 @@
-"""What the report says of alarms, misses, stops and motion; running away is never called good."""
-
 import math
 import re
 from dataclasses import replace

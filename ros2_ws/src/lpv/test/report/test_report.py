@@ -1,5 +1,3 @@
-"""Reports of simulated and made-up runs: figures, certificate, alarms, phases, and the page."""
-
 import base64
 import hashlib
 import html

@@ -1,5 +1,3 @@
-"""Whatever drivers deliver: every sample is answered with numbers, one by one as in any parts."""
-
 from dataclasses import replace
 from types import SimpleNamespace
 

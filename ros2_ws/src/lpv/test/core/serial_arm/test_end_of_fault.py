@@ -1,5 +1,3 @@
-"""Faults that jump, freeze or end: no trusted estimate is outside its bound."""
-
 from dataclasses import replace
 
 import numpy as np

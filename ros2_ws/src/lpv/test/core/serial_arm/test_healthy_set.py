@@ -1,5 +1,3 @@
-"""Guaranteed thresholds: no arm of the file crosses them, faults do, and alarms say so."""
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,5 +1,3 @@
-"""Answers do not depend on how the same arm, its units and its clock are described."""
-
 from dataclasses import replace
 from functools import cache
 

@@ -1,5 +1,3 @@
-"""What is published, and what is believed, while a fault is known: gaps, ends, other sensors."""
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,5 +1,3 @@
-"""Drifts and frozen readings: onsets are those of dense matrices, corrections beyond doubt."""
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,5 +1,3 @@
-"""Paths of serial and of planar arms, their scenario files, and references beside a path."""
-
 import math
 from dataclasses import replace
 

@@ -1,5 +1,3 @@
-"""Readings that rest, are rounded or jitter, and arms that are held: no alarm, or the right one."""
-
 from dataclasses import replace
 from functools import cache
 

@@ -1,5 +1,3 @@
-"""Momentum balances and their derivatives, windows of least squares, rows of independent rates."""
-
 from dataclasses import replace
 
 import numpy as np

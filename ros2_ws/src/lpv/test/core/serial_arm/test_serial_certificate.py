@@ -1,5 +1,3 @@
-"""The certificate of a serial arm's loop: it holds, forgeries and attacks fail."""
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,5 +1,3 @@
-"""Compiled chains from described arms, hostile ones as well, and from inline parameters."""
-
 from dataclasses import replace
 
 import numpy as np

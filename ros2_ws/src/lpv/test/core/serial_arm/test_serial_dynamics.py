@@ -1,5 +1,3 @@
-"""Serial arms against Pinocchio, MuJoCo and the two-link formulas, as URDF and as files."""
-
 import math
 import sys
 from dataclasses import replace

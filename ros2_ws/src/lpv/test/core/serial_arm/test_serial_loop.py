@@ -1,5 +1,3 @@
-"""Loops of serial arms: diagnosis and computed torque, arms with slides, wrong corrections."""
-
 from dataclasses import replace
 from functools import cache, partial
 

@@ -1,5 +1,3 @@
-"""Diagnosis of an arm that is not its model; single faults are in `test_fault_matrix`."""
-
 from dataclasses import replace
 from itertools import product
 

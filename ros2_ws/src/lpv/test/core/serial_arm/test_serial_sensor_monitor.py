@@ -1,5 +1,3 @@
-"""A serial arm's diagnosis behind the interface that node and replay use; the gate for stamps."""
-
 import os
 import re
 import subprocess

@@ -1,5 +1,3 @@
-"""Certificates: exact proofs, what they refuse, what a design guarantees, the commands."""
-
 import re
 import subprocess
 import sys

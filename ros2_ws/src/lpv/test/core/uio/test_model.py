@@ -1,5 +1,3 @@
-"""The planar arm: dynamics, joints, kinematics, polytopes, state space (13)-(37), its file."""
-
 import math
 from dataclasses import replace
 from itertools import product

@@ -1,5 +1,3 @@
-"""Both observers: algebra (38)-(53), recursion, convergence, and samples as nodes feed them."""
-
 import math
 from itertools import product
 

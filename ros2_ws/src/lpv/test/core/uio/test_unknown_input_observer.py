@@ -1,5 +1,3 @@
-"""The designed observer in the loop and on a recording: its bound holds, and what it excludes."""
-
 import math
 from dataclasses import replace
 
