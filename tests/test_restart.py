@@ -5,6 +5,7 @@ import time
 from bisect import bisect_right
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import partial
 from itertools import chain, takewhile
 
 import numpy as np
@@ -16,7 +17,7 @@ from fault_injection import with_joints
 from fuzzing import cases
 from hostile import damaged_bytes, fill, forge, numbers, parameter, sized
 from lifecycle_msgs.msg import State, Transition
-from lifecycle_msgs.srv import ChangeState, GetState
+from lifecycle_msgs.srv import GetState
 from places import BRINGUP
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
@@ -336,12 +337,7 @@ STATES = {
 
 def test_given_a_node_when_configured_twice_then_it_publishes_and_serves_once(tmp_path, files):
     with rig_on(tmp_path, files) as rig:
-        node = rig.client.node
-
-        def change(name, transition):
-            request = Transition(id=transition)
-            return rig.client.call(ChangeState, f'{name}/change_state', transition=request).success
-
+        node, change = rig.client.node, partial(ros.change_state, rig.client)
         rig.start('tracker', 'simulator', 'uio', parameters=['autostart:=false'])
         topics = {'tracker': 'torque_command', 'arm_sim': 'joint_states', 'uio': 'state_estimate'}
         for name, topic in topics.items():

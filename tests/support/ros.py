@@ -30,6 +30,15 @@ def lpv(*arguments, timeout=2000):
     return done.stdout
 
 
+def change_state(asker, name, transition):
+    """Whether a managed node makes a transition."""
+    from lifecycle_msgs.msg import Transition
+    from lifecycle_msgs.srv import ChangeState
+
+    asked = Transition(id=transition)
+    return asker.call(ChangeState, f'{name}/change_state', transition=asked).success
+
+
 def end(running):
     codes = running.stop()
     assert codes and set(codes.values()) == {0}, codes

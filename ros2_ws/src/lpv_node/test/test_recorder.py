@@ -2,6 +2,7 @@ import os
 import re
 import signal
 import time
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -10,7 +11,6 @@ import ros
 from bags import contents
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from lifecycle_msgs.msg import Transition
-from lifecycle_msgs.srv import ChangeState
 from places import BRINGUP
 from rcl_interfaces.srv import GetParameters
 from rclpy.qos import QoSProfile, qos_profile_sensor_data
@@ -148,12 +148,9 @@ def test_given_a_clock_that_is_set_when_stopping_then_what_is_old_counts(monkeyp
     assert node._taken == (shift >= 0)
 
 
-# The limit of a file's size stands in for a disk that is full; the recorder leaves 1 MiB alone.
-LIMITED = ('bash', '-c', 'ulimit -f 1600; exec "$@"', '-')
-
-
 def test_given_a_disk_that_gets_full_when_recording_then_what_is_there_is_kept(session, tmp_path):
-    recorder = session('preset:=none', prefix=LIMITED)
+    # The limit of a file's size stands in for a disk that is full; the recorder leaves 1 MiB alone.
+    recorder = session('preset:=none', prefix=['bash', '-c', 'ulimit -f 1600; exec "$@"', '-'])
     noise = recorder.client.node.create_publisher(String, 'torque_command', RELIABLE)
     assert recorder.client.wait(lambda: noise.get_subscription_count() == 1)
 
@@ -174,8 +171,7 @@ def test_given_a_disk_that_gets_full_when_recording_then_what_is_there_is_kept(s
     assert 300_000 < size < 1600 * 1024
     recorder.run(0.3)
     for step in (4, 2, 1, 3):  # deactivate, clean up, configure, activate
-        wanted = Transition(id=step)
-        assert recorder.client.call(ChangeState, 'recorder/change_state', transition=wanted).success
+        assert ros.change_state(recorder.client, 'recorder', step)
     recorder.reports.clear()
     recorder.run(30.0, until=full)
     assert recorder.stop() == 1 and bag.stat().st_size == size
@@ -192,9 +188,7 @@ def test_given_a_recorder_when_active_again_then_another_bag_has_the_rest(sessio
     folder = tmp_path / 'bags'
     recorder = session(f'output:={folder / "bag"}')
 
-    def change(transition):
-        request = Transition(id=transition)
-        return recorder.client.call(ChangeState, 'recorder/change_state', transition=request)
+    change = partial(ros.change_state, recorder.client, 'recorder')
 
     def record(count):
         first = len(recorder.sent)
@@ -205,13 +199,13 @@ def test_given_a_recorder_when_active_again_then_another_bag_has_the_rest(sessio
 
     numbers = [record(50)]
     for _ in range(2):
-        assert change(Transition.TRANSITION_DEACTIVATE).success
+        assert change(Transition.TRANSITION_DEACTIVATE)
         folder.rename(tmp_path / 'elsewhere')  # no bag can be written where a file is
         folder.write_text('')
-        assert not change(Transition.TRANSITION_ACTIVATE).success
+        assert not change(Transition.TRANSITION_ACTIVATE)
         folder.unlink()
         (tmp_path / 'elsewhere').rename(folder)
-        assert change(Transition.TRANSITION_ACTIVATE).success
+        assert change(Transition.TRANSITION_ACTIVATE)
         numbers.append(record(50))
     assert recorder.stop() == 0
     assert [recorded(folder / name) for name in ('bag', 'bag_1', 'bag_2')] == numbers

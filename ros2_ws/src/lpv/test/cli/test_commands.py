@@ -5,6 +5,7 @@ import subprocess
 import sys
 import time
 from dataclasses import replace
+from functools import reduce
 from itertools import starmap
 from pathlib import Path
 from types import SimpleNamespace
@@ -238,17 +239,17 @@ def test_given_what_a_simulator_adds_when_initialised_then_it_is_left_out(init):
     assert arm.velocity_limit[0] == 100.0  # as of a joint without a limit
 
 
-def test_given_friction_without_rotors_when_initialised_then_what_to_state_is_told(tmp_path, call):
-    damped = GRIPPER.replace('damping="0.5"', 'damping="5e4"').replace('"500"', '"1e6"')
-    (tmp_path / 'arm.urdf').write_text(damped)
+@pytest.mark.parametrize(('changes', 'told'), [
+    ((('damping="0.5"', 'damping="5e4"'), ('"500"', '"1e6"')),
+     r'warning: before it is simulated: joints\[.*rotor_inertia: is too small'),
+    ((('ixx="0.1"', 'ixx="0.9"', 2),), 'no body has the inertia of the link of shoulder'),
+])  # fmt: skip
+def test_given_an_odd_urdf_when_initialised_then_it_is_warned(tmp_path, call, changes, told):
+    (tmp_path / 'arm.urdf').write_text(
+        reduce(lambda urdf, one: urdf.replace(*one), changes, GRIPPER)
+    )
     err = call('init', tmp_path / 'new', '--urdf', tmp_path / 'arm.urdf', *HELD).err
-    assert re.search(r'warning: before it is simulated: joints\[.*rotor_inertia: is too small', err)
-
-
-def test_given_a_link_that_no_body_is_when_initialised_then_it_is_named(tmp_path, call):
-    (tmp_path / 'arm.urdf').write_text(GRIPPER.replace('ixx="0.1"', 'ixx="0.9"', 2))
-    err = call('init', tmp_path / 'new', '--urdf', tmp_path / 'arm.urdf', *HELD).err
-    assert err.count('warning') == 1 and 'no body has the inertia of the link of shoulder' in err
+    assert re.search(told, err) and err.count('warning') == 1
 
 
 @pytest.mark.parametrize('zero', [None, 0.0, np.pi / 3, np.pi])

@@ -6,13 +6,7 @@ import pytest
 from lpv.core.control import watchdog
 from lpv.core.control.estimate_check import IMPOSSIBLE, NOT_FINITE, ROWS, check_values
 from lpv.core.control.tracking import loop_latency
-from lpv.core.control.watchdog import (
-    BrakeReason,
-    DriveWatchdog,
-    StopReason,
-    TrackerLimits,
-    TrackerWatchdog,
-)
+from lpv.core.control.watchdog import BrakeReason, StopReason
 from lpv.core.monitoring.serial_monitor import SerialSensorMonitor
 from lpv.core.serial_arm.diagnosis.alarms import Mode
 from lpv.core.simulation.transport import PARTS, Stall, Transport
@@ -26,12 +20,12 @@ OBSERVING, STALE = int(Mode.OBSERVING), int(Mode.STALE)
 
 @pytest.fixture
 def tracker(paper_arm):
-    return TrackerWatchdog(paper_arm, TrackerLimits())
+    return watchdog.TrackerWatchdog(paper_arm, watchdog.TrackerLimits())
 
 
 @pytest.fixture
 def drives(paper_arm):
-    return DriveWatchdog(paper_arm)
+    return watchdog.DriveWatchdog(paper_arm)
 
 
 def estimates(tracker, steps, latency=0, mode=OBSERVING, trustworthy=True, velocity=STILL):

@@ -1,21 +1,9 @@
 from dataclasses import replace
 
+import fault_injection as made
 import numpy as np
 import pytest
-from fault_injection import (
-    BY_NAME,
-    Cell,
-    Injected,
-    cells,
-    derived,
-    draw,
-    inject,
-    outside_bounds,
-    run,
-    simulate,
-    with_joints,
-)
-from fault_injection import subjects as arms
+from fault_injection import BY_NAME, Injected, cells, derived, draw, inject, outside_bounds
 from serial_arms import answered, shoulder_arm, simulated
 from ur10e_twin import twin
 
@@ -64,7 +52,7 @@ class Run:
 
 
 def _subject(arm):
-    return arms(arm, recorded=False)[0]
+    return made.subjects(arm, recorded=False)[0]
 
 
 # Faults that leave the reading where it is not.
@@ -93,7 +81,7 @@ def test_given_a_drift_that_nobody_has_named_yet_then_bounds_hold_it(arm, joint,
 def test_given_a_jump_that_hardly_was_an_end_then_bounds_hold_that_as_long_as_other_errors():
     """Half a percent is less than a name may be wrong by, and more than what bounds leave out."""
     (cell,) = cells(['coarse'], [False], ['derived'], [BY_NAME['drift 0.1']])
-    assert run(cell, 414).outside == 0.0
+    assert made.run(cell, 414).outside == 0.0
 
 
 def test_given_a_drift_that_nobody_named_when_it_ends_then_the_alarm_of_its_jump_is_cleared():
@@ -289,9 +277,9 @@ def test_given_noise_whose_first_jump_may_be_a_wrong_stamp_when_it_ends_then_no_
 @pytest.mark.parametrize('seed', [6, 12])
 def test_given_a_reading_frozen_where_its_joint_turns_when_it_jumps_back_then_bounds_hold_it(seed):
     """Friction holds the joint, says a file that states five times as much as there is."""
-    stated = with_joints(shoulder_arm(), friction={'viscous': 8.0, 'coulomb': 1.0})
-    true = with_joints(stated, friction={'viscous': 1.6, 'coulomb': 0.2})
-    stream = derived(simulate(true, (np.zeros(3), np.full(3, 0.8), np.ones(3)), seed))
+    stated = made.with_joints(shoulder_arm(), friction={'viscous': 8.0, 'coulomb': 1.0})
+    true = made.with_joints(stated, friction={'viscous': 1.6, 'coulomb': 0.2})
+    stream = derived(made.simulate(true, (np.zeros(3), np.full(3, 0.8), np.ones(3)), seed))
     samples, time = stream.samples.copy(), (stream.stamps - stream.stamps[0]) * 1e-9
     rate = np.convolve(samples[:, 1, 2], np.ones(11) / 11.0, 'same')
     turn = np.flatnonzero((rate[:-1] * rate[1:] < 0.0) & (time[:-1] > 8.0))[0]
@@ -307,7 +295,7 @@ def test_given_a_reading_frozen_where_its_joint_turns_when_it_jumps_back_then_bo
 @pytest.mark.parametrize('run', [1008, 1032])
 def test_given_a_frozen_reading_when_it_jumps_back_then_no_drift_begins_there(run):
     """Until then, its rate was only estimated: that of the reading seems to jump."""
-    subject, window, _ = draw(Cell('ur10e', (twin(),), BY_NAME['stuck'], 'derived'), run, 31)
+    subject, window, _ = draw(made.Cell('ur10e', (twin(),), BY_NAME['stuck'], 'derived'), run, 31)
     assert {event.kind for _, event in subject.answers(window.stream).events} == {'stuck'}
 
 

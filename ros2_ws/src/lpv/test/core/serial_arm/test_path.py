@@ -8,13 +8,8 @@ from fault_injection import with_joints
 from nested import changed
 from serial_arms import scara, shoulder_arm
 
-from lpv.core.control.path import (
-    CartesianPath,
-    Obstacle,
-    PlanarWaypoints,
-    PoseWaypoints,
-    SerialPath,
-)
+from lpv.core.control import path as paths
+from lpv.core.control.path import PoseWaypoints, SerialPath
 from lpv.core.control.path_follower import PathFollower, approach_speeds
 from lpv.core.control.watchdog import StopReason, TrackerLimits, TrackerWatchdog
 from lpv.core.serial_arm.chain import compile_chain
@@ -140,7 +135,7 @@ def test_given_factors_of_links_when_one_is_massless_then_their_centres_stay():
 
 
 def planar(arm, times=KNOTS, points=POINTS, elbow='positive', obstacle=None):
-    return CartesianPath(arm, times, PlanarWaypoints(points, elbow, obstacle))
+    return paths.CartesianPath(arm, times, paths.PlanarWaypoints(points, elbow, obstacle))
 
 
 def in_plane(tip):
@@ -202,9 +197,9 @@ def test_given_either_elbow_then_q1_is_continuous_and_the_tip_one(paper_arm, pap
 
 
 def test_given_bad_waypoints_or_a_path_for_no_arm_then_it_is_refused(paper_arm):
-    planar(paper_arm, obstacle=Obstacle((0.0, 1.9), 0.2))
+    planar(paper_arm, obstacle=paths.Obstacle((0.0, 1.9), 0.2))
     with pytest.raises(ConfigError, match='hits the obstacle'):
-        planar(paper_arm, obstacle=Obstacle((0.0, 1.7), 0.2))
+        planar(paper_arm, obstacle=paths.Obstacle((0.0, 1.7), 0.2))
     with pytest.raises(UnreachableError):  # a chord of the annulus' hole
         planar(replace(paper_arm, tip=(0.5, 0.0, 0.0)), (0.0, 1.0), ((-1.0, 0.05), (1.0, 0.05)))
     with pytest.raises(UnreachableError, match='singularity'):

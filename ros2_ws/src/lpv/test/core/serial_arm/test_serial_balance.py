@@ -10,13 +10,9 @@ from lpv.core.serial_arm.chain import compile_chain
 from lpv.core.serial_arm.description import ParameterCovariance, Uncertainty
 from lpv.core.serial_arm.diagnosis import balance as balances
 from lpv.core.serial_arm.diagnosis import bank, linear_bank, parameter_error
+from lpv.core.serial_arm.diagnosis import estimator as estimators
 from lpv.core.serial_arm.diagnosis import information as info
-from lpv.core.serial_arm.diagnosis.estimator import (
-    HorizonPlan,
-    OffsetEstimator,
-    learn_noise,
-    set_residuals,
-)
+from lpv.core.serial_arm.diagnosis.estimator import HorizonPlan, OffsetEstimator
 
 CHAIN, PER_BLOCK, PER_INTERVAL = compile_chain(shoulder_arm()), 5, 5
 ARM = shoulder_arm('independent')
@@ -191,8 +187,8 @@ def test_given_residuals_that_are_larger_at_rest_then_noise_in_motion_stays_smal
         rows[:, 0] = (4.0 if rest else 1.0) * null.expected * rng.normal(size=3)
         info.join(window, 0.05 * k, rows, -1.0)
         window.rest[info.slot(window, 0)] = rest
-    set_residuals(window, null, 200)
-    learn_noise(window, null)
+    estimators.set_residuals(window, null, 200)
+    estimators.learn_noise(window, null)
     np.testing.assert_allclose(null.rest, 4.0, rtol=0.3)
     np.testing.assert_allclose(null.noise, null.expected, rtol=0.3)
 

@@ -5,21 +5,10 @@ Rates that are differences are those of half a sample before, and of a joint tha
 
 from dataclasses import replace
 
-import fault_injection
+import fault_injection as made
 import numpy as np
 import pytest
-from fault_injection import (
-    BY_NAME,
-    Injected,
-    derived,
-    inject,
-    motion_range,
-    random_arm,
-    simulate,
-    sines,
-    with_sensors,
-    wrong_chain,
-)
+from fault_injection import derived, motion_range, random_arm, simulate, sines
 from serial_arms import blamed, delivered, shoulder_arm, watch, with_rates
 from watched import Watched
 
@@ -38,8 +27,8 @@ def watched(kind, rates, *faults, until=9.0, seed=1):
     is_derived = rates == 'derived'
     healthy = derived(healthy) if is_derived else healthy
     rng = np.random.default_rng(seed)
-    injected = [Injected(*fault) for fault in faults]
-    window = inject(healthy, BY_NAME[kind], injected, is_derived, np.eye(3), rng)
+    injected, kind = [made.Injected(*fault) for fault in faults], made.BY_NAME[kind]
+    window = made.inject(healthy, kind, injected, is_derived, np.eye(3), rng)
     return watch(arm, window.stream), window.truth[-1]
 
 
@@ -79,7 +68,7 @@ def test_given_differences_as_rates_when_an_arm_moves_then_balances_hold_its_tru
     assert (np.sqrt((left**2).mean(0)) < 2e-3 * usual).all()
 
 
-FAST = with_rates(fault_injection.two_links('real_arm')[0], 'derived', sample_time=0.02)
+FAST = with_rates(made.two_links('real_arm')[0], 'derived', sample_time=0.02)
 LONG = with_rates(random_arm(8), 'derived', sample_time=0.01)
 
 
@@ -103,9 +92,9 @@ def test_given_fast_joints_or_a_long_chain_then_nothing_is_suspected(arm, motion
 def test_given_efforts_that_are_means_or_commands_then_no_encoder_is_blamed(rates, taken):
     """Efforts are means over a sample that begins so many periods after their stamp."""
     arm, quiet = random_arm(4), {'position_noise': 1e-6, 'velocity_noise': 1e-4, 'rates': rates}
-    arm, rng = with_sensors(replace(arm, sample_time=0.01), **quiet), np.random.default_rng(1)
+    arm, rng = made.with_sensors(replace(arm, sample_time=0.01), **quiet), np.random.default_rng(1)
     path = sines(*motion_range(arm, 0.5)[:2], np.full(4, 12.0), rng)  # up to 30 rad/s2
-    model, time = SerialModel(wrong_chain(arm, rng)), arm.sample_time * np.arange(1000)
+    model, time = SerialModel(made.wrong_chain(arm, rng)), arm.sample_time * np.arange(1000)
     moments = arm.sample_time * (taken + np.arange(0.05, 1.0, 0.1))
     effort = np.mean([model.torque(*path(time + moment)) for moment in moments], axis=0)
     samples = np.stack([*path(time)[:2], effort], axis=1)

@@ -10,13 +10,8 @@ from lpv import AlarmEvent, ConfigError, Fault
 from lpv.core.monitoring.serial_monitor import SerialSensorMonitor
 from lpv.core.serial_arm.chain import compile_chain
 from lpv.core.serial_arm.description import TorqueTolerance
+from lpv.core.serial_arm.diagnosis import parameter_set as healthy
 from lpv.core.serial_arm.diagnosis.healthy_balance import generator_count
-from lpv.core.serial_arm.diagnosis.parameter_set import (
-    PAYLOAD_PARTS,
-    member,
-    parameter_set,
-    payload_generator,
-)
 from lpv.core.serial_arm.dynamics.model import SerialModel
 from lpv.core.support.records import new_record
 from lpv.core.uio.bound.error_bound import error_bound
@@ -101,22 +96,22 @@ def test_given_links_rotors_and_payload_of_the_file_then_their_torque_is_bounded
     uncertainty = replace(paper_arm.uncertainty, payload=0.5)
     described = with_joints(replace(paper_arm, uncertainty=uncertainty), rotor_inertia=0.5)
     chain, arm = compile_chain(described), planar_model(described)
-    sizes, quiet = parameter_set(described, chain), replace(arm, velocity_noise=0.0)
-    healthy = healthy_arm(replace(quiet, disturbance_mean=0.0))
+    sizes, quiet = healthy.parameter_set(described, chain), replace(arm, velocity_noise=0.0)
+    known = healthy_arm(replace(quiet, disturbance_mean=0.0))
     rng, largest, nominal = np.random.default_rng(2), 0.0, SerialModel(chain)
-    payload, angles = payload_generator(sizes, 0.5), JointMap(arm)
+    payload, angles = healthy.payload_generator(sizes, 0.5), JointMap(arm)
     for _ in range(300):
         shares = rng.choice([-1.0, 1.0], generator_count(sizes))
-        shares[payload:][:PAYLOAD_PARTS] *= shares[payload] > 0.0  # places are those of its mass
+        shares[payload:][: healthy.PAYLOAD_PARTS] *= shares[payload] > 0.0  # places of its mass
         q, v, a = rng.uniform(-2.0, 2.0, (3, 2))
-        true = SerialModel(member(chain, sizes, shares))
+        true = SerialModel(healthy.member(chain, sizes, shares))
         missed = true.inverse_dynamics(q, v, a) - nominal.inverse_dynamics(q, v, a)
         missed = angles.absolute_torque(missed)
         driven = np.tile(angles.absolute_velocity(a), (2, 1))
         pose = {'theta': angles.absolute_position(q), 'rate': angles.absolute_velocity(v)}
         motion = new_record(MOTION, **pose, driven=driven)
         most = np.zeros(2)
-        unknown_torque(healthy, motion, most)
+        unknown_torque(known, motion, most)
         assert np.all(np.abs(missed) <= most)
         largest = max(largest, (np.abs(missed) / most).max())
     assert largest > 0.8
