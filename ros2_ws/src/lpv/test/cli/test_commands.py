@@ -297,19 +297,15 @@ def test_given_a_gripper_when_held_then_the_arm_has_the_others_and_their_frictio
         assert arm.tip == (0.0, 0.0, 0.3)
 
 
-def test_given_a_camera_on_the_wrist_when_initialised_then_the_tip_is_the_deepest_link(init):
-    frames = ('tool', 'mount', 0), ('mount', 'tcp', 0.2), ('hand', 'zz', 1)
+@pytest.mark.parametrize(('frames', 'tip', 'other', 'x'), [
+    ((('tool', 'mount', 0), ('mount', 'tcp', 0.2), ('hand', 'zz', 1)), 'tcp', 'zz', 0.2),
+    ([('left', 'pad')], 'tool', 'pad', 0.0),  # a finger that is deeper than the tool
+])  # fmt: skip
+def test_given_links_on_the_wrist_then_the_tip_is_the_deepest(init, frames, tip, other, x):
     urdf = GRIPPER.replace('</robot>', ''.join(starmap(jointed, frames)) + '</robot>')
     arm, said = init('--joints', 'shoulder,elbow,wrist', urdf=urdf)
-    assert 'tip: tcp, where loads sit; --tip names another: ' in said and ' zz' in said
-    assert arm.tip == pytest.approx((0.2, 0.0, 0.3))
-
-
-def test_given_a_finger_that_is_deeper_than_the_tool_when_held_then_the_tip_is_the_tool(init):
-    urdf = GRIPPER.replace('</robot>', f'{jointed("left", "pad")}</robot>')
-    arm, said = init(*HOLDS[1].split(), urdf=urdf)
-    assert 'tip: tool, where loads sit; --tip names another: ' in said and ' pad' in said
-    assert arm.tip == (0.0, 0.0, 0.3)
+    assert f'tip: {tip}, where loads sit; --tip names another: ' in said and f' {other}' in said
+    assert arm.tip == pytest.approx((x, 0.0, 0.3))
 
 
 def test_given_a_urdf_with_friction_when_a_motion_is_planned_then_torques_hold_it(tmp_path, call):

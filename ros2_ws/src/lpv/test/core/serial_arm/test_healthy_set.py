@@ -131,11 +131,24 @@ def largest_ratio(arm, swing, speed, late=0.0, missed=0.0, seconds=5.0):
     return largest
 
 
-@pytest.mark.parametrize('load', [0.1, 0.4])
-def test_given_friction_that_grows_with_load_when_moved_then_thresholds_hold(load):
-    """It grows with the torque that the gear carries, which is not that of the drive."""
-    arm = with_joints(CLOSE, friction={'coulomb': 1.0, 'load': load})
-    assert largest_ratio(arm, 0.6, 2.0) < 0.5
+AT_REST = description.TorqueTolerance((0.0, 0.005), (2.0, 0.0))
+
+
+@pytest.mark.parametrize(('stated', 'motion', 'most'), [
+    # Friction grows with the torque that the gear carries, which is not that of the drive.
+    *(({'friction': {'coulomb': 1.0, 'load': load}}, (0.6, 2.0), 0.5) for load in (0.1, 0.4)),
+    # What a rate reads at rest is not zero, where torques are missed at rest alone.
+    *(({'torque_tolerance': AT_REST, 'sensors': {'velocity_noise': 0.02}}, (0.0, 1.0, 0.0, missed),
+       1.0) for missed in (-2.0, 2.0)),
+    # At rest the error of rounding stays as it is.
+    *(({'sensors': {'quantization': step}}, (0.0, 1.0), 1.0) for step in (0.011, 0.07)),
+    # What is quadratic in a delay counts, too.
+    *(({'effort_delay': abs(late)}, (swing, speed, late, 0.0, 4.0), 1.0)
+      for late, swing, speed in ((0.05, 0.2, 3.0), (-0.05, 0.2, 3.0), (0.1, 0.4, 2.0),
+                                 (-0.1, 0.4, 2.0))),
+])  # fmt: skip
+def test_given_what_a_file_states_when_it_is_so_then_thresholds_hold(stated, motion, most):
+    assert largest_ratio(with_joints(CLOSE, **stated), *motion) < most
 
 
 @LEVEL
@@ -147,28 +160,6 @@ def test_given_friction_by_load_that_is_half_as_large_again_then_the_worst_arm_s
     plant = member(chain, parameter_set(arm, chain), np.sign(own.effects[joint]))
     worst = watched(arm, plant, duration=2.0)
     assert 0.3 < np.abs(worst.estimate[joint]) / worst.threshold[joint] < 1.0
-
-
-@pytest.mark.parametrize('missed', [-2.0, 2.0])
-def test_given_torques_missed_at_rest_alone_when_rates_are_noisy_then_thresholds_hold(missed):
-    """What a rate reads at rest is not zero."""
-    tolerance = description.TorqueTolerance((0.0, 0.005), (2.0, 0.0))
-    arm = with_joints(CLOSE, torque_tolerance=tolerance, sensors={'velocity_noise': 0.02})
-    assert largest_ratio(arm, 0.0, 1.0, missed=missed) < 1.0
-
-
-def test_given_readings_that_are_rounded_at_rest_then_thresholds_hold():
-    """At rest the error of rounding stays as it is."""
-    for step in (0.011, 0.07):
-        arm = with_joints(CLOSE, sensors={'quantization': step})
-        assert largest_ratio(arm, 0.0, 1.0) < 1.0
-
-
-@pytest.mark.parametrize(('late', 'swing', 'speed'), [(0.05, 0.2, 3.0), (0.1, 0.4, 2.0)])
-def test_given_efforts_as_late_as_stated_when_moved_then_thresholds_hold(late, swing, speed):
-    """What is quadratic in the delay counts, too."""
-    arm = with_joints(CLOSE, effort_delay=late)
-    assert max(largest_ratio(arm, swing, speed, way * late, seconds=4.0) for way in (-1, 1)) < 1.0
 
 
 @pytest.mark.parametrize(('rates', 'motion'), [
