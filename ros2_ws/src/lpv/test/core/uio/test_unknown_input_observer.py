@@ -60,7 +60,7 @@ def test_given_a_healthy_arm_then_bounds_hold(paper_arm, observed, factors, payl
 
 
 @pytest.mark.parametrize('observer', ['uio', 'tightest'])
-def test_given_no_efforts_for_long_then_it_restarts(paper_arm, paper_gains, run_paper, observer):
+def test_given_no_efforts_for_long_then_it_begins_anew(paper_arm, paper_gains, observed, observer):
     run, whole = observed(observer)
     effort = run.effort.copy()
     effort[1000:1500, 1] = np.nan
@@ -70,7 +70,7 @@ def test_given_no_efforts_for_long_then_it_restarts(paper_arm, paper_gains, run_
     np.testing.assert_allclose(found.fault.bound[-1], whole.fault.bound[-1], rtol=0.5)
 
 
-def test_given_constant_friction_then_it_is_known_and_bounded(paper_arm, paper_gains, run_paper):
+def test_given_constant_friction_then_it_is_known_and_bounded(paper_arm, paper_gains, observed):
     arm = with_joints(paper_arm, friction={'offset': 10.0})
     pytest.raises(ConfigError, UnknownInputObserver, arm, paper_gains).match('gains.arm_sha256')
     (_, found), (_, usual) = observed('uio', arm), observed('uio')
@@ -156,9 +156,7 @@ def test_given_noisy_encoders_then_angles_have_the_noise_of_their_own(paper_mode
 
 
 @pytest.mark.parametrize(('sensor', 'size'), [(0, 0.05), (1, -0.5), (0, -0.6), (1, 0.6)])
-def test_given_an_offset_from_the_start_then_its_bound_holds_it_and_a_large_one_is_certain(
-    paper_arm, paper_gains, run_paper, sensor, size
-):
+def test_given_an_offset_from_the_start_then_its_bound_holds_it(paper_arm, observed, sensor, size):
     fault, large = Fault(paper_arm.sensor_names[sensor], 'bias', 0.0, size=size), abs(size) > 0.5
     options = {'options': {} if large else {'compensation': 'off'}}
     run, found = observed('tightest', duration=5.0 if large else 4.0, faults=(fault,), **options)
@@ -172,9 +170,10 @@ def test_given_an_offset_from_the_start_then_its_bound_holds_it_and_a_large_one_
         assert np.all(error[-1] < 0.1)
 
 
-def test_given_the_tighter_observer_or_parts_then_bounds_agree(paper_arm, paper_gains, run_paper):
-    names = 'tightest', 'uio', 'horizon'
-    tightest, uio, horizon = (observed(name, duration=3.0)[1].fault.bound for name in names)
+def test_given_the_tighter_observer_or_parts_then_bounds_agree(paper_arm, paper_gains, observed):
+    run, tightest = observed('tightest', duration=3.0)
+    others = (answers(run, paper_arm, paper_gains, name)[0] for name in ('uio', 'horizon'))
+    tightest, uio, horizon = (found.fault.bound for found in (tightest, *others))
     assert np.all(np.minimum(uio, horizon) <= tightest) and np.all(tightest <= horizon)
     assert (tightest < 0.9 * horizon).any()
     fault = Fault('link1_angle', 'bias', 0.0, size=0.4, duration=4.0)
