@@ -138,6 +138,9 @@ def test_given_no_file_or_an_existing_bag_when_imported_then_it_is_an_error(conv
     for file, delimiter, told in wrong:
         with pytest.raises(CsvError, match=rf'{file.name}: cannot be read \(.*{told}'):
             import_csv(file, columns, tmp_path / 'bag', delimiter=delimiter)
+    for topic in ('', '/', 'joint_states', '/a b', '/a/', '/1'):
+        with pytest.raises(CsvError, match='no full name of a topic'):
+            import_csv(source, columns, tmp_path / 'bag', topic)
     assert not (tmp_path / 'bag').exists()
 
 

@@ -2,6 +2,7 @@
 
 import csv
 import math
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -13,6 +14,7 @@ from typing import Any
 from lpv.bag.rosbag.writing import BagWriter
 from lpv.core.support.config import Section, read_yaml
 from lpv.core.support.errors import LpvError
+from lpv.core.support.limits import MOST_TEXT
 from lpv.core.support.timestamps import LAST_STAMP
 
 TIME_UNITS = {'s': 1_000_000_000, 'ms': 1_000_000, 'us': 1000, 'ns': 1}
@@ -75,6 +77,8 @@ def import_csv(
     delimiter: str = ',',
 ) -> tuple[int, list[str]]:
     """Write a bag of JointState from a CSV file, else CsvError; messages, and warnings."""
+    if not re.fullmatch(r'(/[A-Za-z_]\w*)+', topic, re.ASCII):
+        raise CsvError(f'{topic[:MOST_TEXT]!r} is no full name of a topic, such as /joint_states')
     # Empty cells become NaN: the observer has modes for missing values.
     warnings = list[str]()
     samples = read_samples(source, columns, delimiter, warnings)
