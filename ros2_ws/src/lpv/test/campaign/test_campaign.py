@@ -48,12 +48,26 @@ WRONG_FACTORS = {
     'noise.low': [{**RANGE, 'spacing': 'log'}], 'noise.spacing': [{**RANGE, 'spacing': 'x'}],
     'noise.levels': [{**RANGE, 'levels': 1}], 'noise': ['loud', [1.0, 1.0]],
     'sample_time': [{'low': 0.001, 'high': 0.002}], 'command_delay': [1.5, 64.0],
-    'compensation': ['sometimes'],
+    'compensation': ['sometimes'], 'payload': [1e5],
 }  # fmt: skip
-OF_BIAS = {'fault.kind': 'bias'}
+OF_BIAS = {'fault.kind': 'bias', 'fault.size': 0.1}
 for _field, _values in WRONG_FACTORS.items():
     _name = '.'.join(_field.split('.')[: 2 if _field.startswith('fault') else 1])
     WRONG[f'factors.{_field}'] = [{'factors': {**OF_BIAS, _name: value}} for value in _values]
+FACTORIAL = {'plan': {'method': 'factorial'}}
+WRONG['factors.fault.size'] += [
+    {'factors': {**OF_BIAS, 'fault.size': size}} for size in (1e4, [0.1, 0.0], {'scale': 0.1})
+] + [
+    {'factors': {'fault.kind': ['none', 'bias']}},
+    {**FACTORIAL, 'factors': {**OF_BIAS, 'fault.size': RANGE}},
+    {'factors': {'fault.kind': 'noise', 'fault.size': {'low': -0.1, 'high': 0.1}}},
+    {'factors': {'fault.kind': 'stuck', 'fault.size': 0.1}},
+]
+WRONG['factors.fault.rate'] = [
+    {'factors': {'fault.kind': ['bias', 'drift'], 'fault.size': 0.1}},
+    {'factors': {**OF_BIAS, 'fault.rate': 0.1}},
+    {'factors': {'fault.kind': 'none', 'fault.rate': 0.1}},
+]
 OF_REAL_ARM = {'designs': ['gains.yaml'], 'arm': 'real_arm', 'scenario': 'real_arm'}
 
 
@@ -108,7 +122,7 @@ def test_given_a_shipped_campaign_when_read_then_it_is_valid(name):
 
 def test_given_a_plan_when_sampled_then_each_combination_or_stratum_comes_once_a_repeat(small):
     factors = """{fault.kind: [none, bias], noise: {low: 0.5, high: 2.0, levels: 3},
-                  payload: [0.0, 0.5], friction: 1.0}"""
+                  payload: [0.0, 0.5], friction: 1.0, fault.size: 0.1}"""
     factorial = resolved(factors, plan={'method': 'factorial', 'repeats': 2})
     values = [factorial.values(number) for number in range(factorial.spec.runs)]
     assert list(Counter(map(str, values)).values()) == [2] * 12

@@ -25,7 +25,8 @@ pytestmark = pytest.mark.slow
 
 SENSORS, table = ('link1_angle', 'link2_angle'), pa.Table.from_pylist
 UNITS = 'rad', 'm', 'rad or m'
-FACTORS = "{fault.kind: [none, bias, stuck], compensation: ['off', confirmed]}"
+FACTORS = """{fault.kind: [none, bias, stuck], fault.size: {bias: 0.3},
+              compensation: ['off', confirmed]}"""
 SPEC = spec(FACTORS, 120, name='made <up>', duration=10.0)
 
 
@@ -145,9 +146,11 @@ def test_given_safe_stops_when_reported_then_each_reason_names_its_runs(campaign
     assert '0, 2, 5' in said.getvalue()
 
 
-@pytest.mark.parametrize(('fault', 'why'), [('dropout', 'NOT_TRUSTWORTHY'), ('bias', 'OVERSPEED')])
+@pytest.mark.parametrize(
+    ('fault', 'why'), [('dropout', 'NOT_TRUSTWORTHY'), ('bias, fault.size: 3.0', 'OVERSPEED')]
+)
 def test_given_a_run_that_stops_when_measured_then_its_row_says_why(fault, why):
-    of_fault = 'fault.sensor: both, fault.size: 3.0, fault.onset: 1.0'
+    of_fault = 'fault.sensor: both, fault.onset: 1.0'
     factors = f"{{fault.kind: {fault}, {of_fault}, compensation: 'off'}}"
     row = run_one(resolved(factors, duration=1.5), 0)
     assert row['safe_stops'] == 1 and row['stop_reasons'] == StopReason[why].text

@@ -8,8 +8,8 @@ import numpy as np
 
 from lpv.core.control.tracking import COMPENSATION
 from lpv.core.monitoring.parameters import DIAGNOSIS
-from lpv.core.simulation.faults import KINDS
-from lpv.core.simulation.scenario import PLANTS
+from lpv.core.simulation.faults import KINDS, Fault, uses
+from lpv.core.simulation.scenario import PLANTS, Scenario
 from lpv.core.support.config import Section, as_number
 from lpv.core.support.entries import entry, read_entries
 from lpv.core.support.limits import MOST_ENTRIES, MOST_SAMPLES
@@ -17,18 +17,22 @@ from lpv.core.support.limits import MOST_ENTRIES, MOST_SAMPLES
 METHODS = ('factorial', 'random', 'latin_hypercube')
 NO_FAULT, BOTH = 'none', 'both'
 PATHS = ('scenario', 'random')
-_INF = math.inf
+
+
+def _limits(kind: type, name: str) -> tuple[float, float]:
+    """Range of a number of a scenario, or of its faults."""
+    _, _, limits = kind.__dataclass_fields__[name].metadata['entry']  # type: ignore[attr-defined]
+    return limits['low'], limits['high']
+
+
 NUMBERS = {
-    'fault.size': (-_INF, _INF),
-    'fault.rate': (-_INF, _INF),
-    'fault.onset': (0.0, _INF),
-    'fault.duration': (0.0, _INF),
+    **{f'fault.{name}': _limits(Fault, name) for name in ('size', 'rate', 'onset', 'duration')},
     'fault.sign': (-1.0, 1.0),
     'noise': (0.0, 1e3),
     'disturbance': (0.0, 1e3),
     **dict.fromkeys(('mass_1', 'mass_2', 'inertia_1', 'inertia_2'), (1e-3, 1e3)),
     'parameter_error': (0.0, 0.5),
-    'payload': (-_INF, _INF),
+    'payload': _limits(Scenario, 'payload'),
     'friction': (0.0, 100.0),
     'sample_time': (1e-5, 1.0),
     'command_delay': (0.0, 63.0),
@@ -152,6 +156,7 @@ def parse_spec(data: dict[str, Any], source: str = 'campaign') -> CampaignSpec:
     if runs > MOST_SAMPLES:
         raise plan.error('runs', f'would be {runs}; at most {MOST_SAMPLES} can be asked for')
     plan.finish()
+    _check_faults(factors, Section({}, source, 'factors.fault'), method == 'factorial')
     return read_entries(CampaignSpec, top, method=method, runs=runs, factors=factors)
 
 
@@ -201,6 +206,27 @@ def _any_kind(section: Section, key: str, data: Any, name: str) -> Choice | Rang
         if name in known and value not in known[name]:
             raise section.error(key, f'{value!r} is none of ' + ', '.join(known[name]))
     return factor
+
+
+def _check_faults(factors: dict[str, Factor], section: Section, factorial: bool) -> None:
+    """Refuse sizes and rates with which a fault of a kind would do nothing, or that none has."""
+    kinds = [kind for kind in getattr(factors.get('fault.kind'), 'values', ()) if kind != NO_FAULT]
+    for name in ('size', 'rate'):
+        factor = factors.get(f'fault.{name}', Choice((DEFAULTS[f'fault.{name}'],)))
+        if f'fault.{name}' in factors and not any(uses(kind, name) for kind in kinds):
+            raise section.error(name, 'counts for none of ' + ', '.join(kinds or [NO_FAULT]))
+        for kind in kinds:
+            for value in _values(factor, kind, factorial):
+                Fault('', kind, 0.0, **{'size': 1.0, 'rate': 1.0, name: value}).check(section)
+
+
+def _values(factor: Factor, kind: str, factorial: bool) -> tuple[float, ...]:
+    """Values for a kind of fault: all, or the ends of what lies between them."""
+    if isinstance(factor, ByKind) and not factorial:
+        factor = factor.kinds.get(kind, Choice((0.0,)))
+    if isinstance(factor, Range) and not factorial:
+        return factor.low or factor.high, factor.high or factor.low  # 0 itself is never drawn
+    return tuple(factor.value(unit, kind) for unit in factor.units)
 
 
 def _choice(section: Section, key: str, data: Any, numeric: bool) -> Choice:

@@ -27,6 +27,17 @@ _NEEDED = {'drift': ('rate',), 'spike': ('size', 'rate'), 'stuck': (), 'dropout'
 
 _POSITIVE = {'noise': 'size', 'spike': 'rate'}
 """That which must not be negative."""
+
+
+def _needed(kind: str) -> tuple[str, ...]:
+    return _NEEDED.get(kind, ('size',))
+
+
+def uses(kind: str, name: str) -> bool:
+    """Whether a fault of a kind has a ``size``, or a ``rate``."""
+    return name in _needed(kind) or (kind, name) == ('drift', 'size')
+
+
 MAX_FAULTS = len(KINDS) * MAX_JOINTS
 """Most faults at a time: every kind on every sensor."""
 
@@ -66,7 +77,7 @@ class Fault:
         positive = _POSITIVE.get(self.kind, '')
         if positive and getattr(self, positive) < 0.0:
             raise section.error(positive, 'must not be negative')
-        for needed in _NEEDED.get(self.kind, ('size',)):
+        for needed in _needed(self.kind):
             if getattr(self, needed) == 0.0:
                 raise section.error(needed, f'must not be 0 for a {self.kind} fault')
 
