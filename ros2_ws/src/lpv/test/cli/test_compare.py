@@ -2,6 +2,7 @@ import itertools
 import json
 import re
 from copy import copy
+from dataclasses import asdict
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from runs import copied
 
 from lpv import DiagnosisParameters
 from lpv.bag.replay.replay import Replay
+from lpv.cli.main import build_parser
 from lpv.core.serial_arm.diagnosis.alarms import SensorState
 from lpv.report.comparison import Tolerances, compare_runs, load_pair
 
@@ -37,6 +39,11 @@ def test_given_the_reference_when_replayed_then_the_diagnosis_answers_as_it_did(
     assert found.same, f'the diagnosis answers differently: {wrong}; if that is meant, {meant}'
     assert found.common > 140 and len(found.figures) == 6
     assert [p.first.kind for p in found.alarms] == ['bias', 'drift', 'dropout']
+
+
+def test_given_no_options_when_compared_then_tolerances_are_those_of_the_library():
+    given = vars(build_parser('compare').parse_args(['compare', 'one', 'other']))
+    assert asdict(Tolerances()) == {name: given[name] for name in asdict(Tolerances())}
 
 
 @pytest.mark.slow
