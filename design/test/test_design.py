@@ -18,7 +18,7 @@ from lpv.core.uio.certificate.conditions import observer_margin
 from lpv.core.uio.certificate.gains import load_gains
 from lpv.core.uio.model.polytope import paper_descriptor, sinc_box, vertex_matrices
 from lpv.core.uio.observer.paper_observer import decoupling
-from lpv.identify.estimation.assembly import with_joints
+from lpv.identify.estimation.assembly import with_joint_values
 from lpv_design import controller, design_flow, exact_observer, serial_loop
 from lpv_design.paper_observer import PaperRequirement, solve_paper, undetectable_point
 from lpv_design.requirement import load_requirement
@@ -341,7 +341,7 @@ def test_given_an_arm_when_designed_then_what_is_certified_follows_payload_and_r
 def test_given_much_friction_when_designed_then_the_error_of_a_slow_loop_is_bounded(short):
     thick = [replace(one.friction, viscous=12.0 * one.friction.viscous) for one in short.joints]
     unloaded = replace(short.uncertainty, payload=0.0)
-    arm = replace(with_joints(short, friction=thick), uncertainty=unloaded)
+    arm = replace(with_joint_values(short, friction=thick), uncertainty=unloaded)
     gains, _ = serial_loop.certify_loop(arm, serial_loop.LoopRequest())
     gains.require(arm)
     assert gains.motion.decay < 0.1 and gains.error.bound.max() < 10.0
@@ -378,7 +378,7 @@ def test_given_no_payload_and_viscous_friction_when_bounded_then_no_solver_is_as
     arm, asked = load_arm('ur10'), []
     light = [LinkInertia.from_vector(1e-3 * joint.link.to_vector()) for joint in arm.joints]
     smooth = [replace(joint.friction, viscous=0.0) for joint in arm.joints]
-    arm = with_joints(arm, link=light, friction=smooth, rotor_inertia=[1e-2] * len(light))
+    arm = with_joint_values(arm, link=light, friction=smooth, rotor_inertia=[1e-2] * len(light))
     arm = replace(arm, uncertainty=Uncertainty())
     best = serial_loop._best_value
     monkeypatch.setattr(serial_loop, 'solve', lambda *_: asked.append(1) or 'solver_error')

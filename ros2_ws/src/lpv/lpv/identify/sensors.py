@@ -13,7 +13,7 @@ from lpv.core.serial_arm.rate_independence import rate_source
 from lpv.core.support.errors import ConfigError
 from lpv.core.support.limits import SMALL
 from lpv.identify.errors import IdentificationError
-from lpv.identify.estimation.assembly import with_joints
+from lpv.identify.estimation.assembly import with_joint_values
 from lpv.identify.estimation.robust import robust_scale
 from lpv.identify.recordings.recording import LARGEST, Recording, read_pairs
 
@@ -48,7 +48,7 @@ class Sensing:
             )
             for j, joint in enumerate(arm.joints)
         ]
-        return with_joints(arm, sensors=sensors)
+        return with_joint_values(arm, sensors=sensors)
 
 
 def sense(
@@ -190,7 +190,7 @@ def with_second_encoders(arm: SerialArm, found: Sequence[SecondReading]) -> Seri
         raise ConfigError('--second-encoder', f'{arm.name} has no joint {unknown[0]!r}')
     known = {joint.name: joint.sensors.second_encoder for joint in arm.joints} | encoders
     sensors = [replace(j.sensors, second_encoder=known[j.name]) for j in arm.joints]
-    return with_joints(arm, sensors=sensors)
+    return with_joint_values(arm, sensors=sensors)
 
 
 def describe(reading: SecondReading, unit: str) -> str:

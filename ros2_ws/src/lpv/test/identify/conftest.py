@@ -5,7 +5,7 @@ import pytest
 from simulated_recordings import SensorNoise, simulate
 
 from lpv.core.serial_arm import description as model
-from lpv.identify.estimation.assembly import with_joints
+from lpv.identify.estimation.assembly import with_joint_values
 from lpv.identify.estimation.identification import identify
 from lpv.identify.motions import random_trajectory
 
@@ -57,7 +57,7 @@ def rough_arm(arm):
     """The arm as a URDF may have it: without friction, and with masses that are 20 % too large."""
     links = [model.LinkInertia.from_vector(1.2 * j.link.to_vector()) for j in arm.joints]
     bare = {'friction': [model.JointFriction()] * 3, 'rotor_inertia': [0.0] * 3}
-    return with_joints(arm, link=links, **bare)
+    return with_joint_values(arm, link=links, **bare)
 
 
 @pytest.fixture(scope='session')

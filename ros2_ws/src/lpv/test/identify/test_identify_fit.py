@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from bags import write_measurements
 from fault_injection import DATA
-from fault_injection import with_joints as changed_joints
+from fault_injection import with_joint_values as changed_joints
 from scipy import stats
 from simulated_recordings import is_physical
 from ur10e_twin import recording as recording_of_twin
@@ -19,7 +19,7 @@ from lpv.core.support.errors import ConfigError
 from lpv.core.support.resources import bringup_file
 from lpv.identify.errors import IdentificationError
 from lpv.identify.estimation import assembly, payload
-from lpv.identify.estimation.assembly import with_joints
+from lpv.identify.estimation.assembly import with_joint_values
 from lpv.identify.estimation.gains import rescaled
 from lpv.identify.estimation.identification import identify
 from lpv.identify.estimation.mistakes import find_mistakes
@@ -88,7 +88,7 @@ def test_given_links_or_friction_when_checked_or_rescaled_then_torques_are_as_th
 
 def test_given_friction_that_falls_too_far_then_the_arm_can_be_read(arm, simulated, tmp_path):
     falling = [JointFriction(0.0, -2.8, 3.0, 3.0)] * 3
-    slow = with_joints(arm, friction=falling, limits=[JointLimits(-2.5, 2.5, 1.0, 100.0)] * 3)
+    slow = with_joint_values(arm, friction=falling, limits=[JointLimits(-2.5, 2.5, 1.0, 100.0)] * 3)
     workshop = Workshop(slow, [simulated(slow, rate=60.0)])
     found = workshop.arm_of(workshop.fit())
     assert all(joint.friction.viscous < 0.0 for joint in found.joints)
@@ -158,7 +158,7 @@ def test_given_efforts_without_gravity_when_identified_then_it_is_found(arm, sim
 
 def test_given_currents_when_identified_then_gains_and_their_signs_are_found(arm, simulated):
     gains = (8.0, -5.0, 3.0)
-    recording = simulated(with_joints(arm, torque_gain=gains), 3)
+    recording = simulated(with_joint_values(arm, torque_gain=gains), 3)
     found = identify(replace(arm, effort_unit='A'), [recording]).arm
     ratio = np.array([joint.torque_gain for joint in found.joints]) / gains
     assert ratio == pytest.approx(np.full(3, ratio.mean()), rel=0.1)
@@ -177,14 +177,14 @@ def deviations(arm, motion):
 
 def test_given_an_arm_that_pauses_in_a_short_recording_then_its_file_is_as_wrong_as_it_says():
     links = [LinkInertia.from_vector(1.2 * j.link.to_vector()) for j in ur10e().joints]
-    given = with_joints(ur10e(), link=links)
+    given = with_joint_values(ur10e(), link=links)
     found = identify(given, [recording_of_twin(1000, 0.0, 10.0)]).arm
     rng = np.random.default_rng(1)
     motion = rng.uniform(-1.0, 1.0, (3, 200, 6)) * np.array([1.5, 1.0, 2.0])[:, None, None]
     torque, sigma = deviations(found, motion)
     error = torque - joint_torques(ur10e(), *motion)
     # Drives of the twin have gains 5 % and friction 20 % off those of `ur10e`.
-    smooth = joint_torques(with_joints(found, friction=[JointFriction()] * 6), *motion)
+    smooth = joint_torques(with_joint_values(found, friction=[JointFriction()] * 6), *motion)
     other = 0.05 * np.abs(torque) + 0.2 * (torque - smooth)
     ratio = np.sqrt(np.mean(error**2 / (sigma**2 + other**2), axis=0))
     assert np.all(ratio < 2.0)
@@ -193,7 +193,7 @@ def test_given_an_arm_that_pauses_in_a_short_recording_then_its_file_is_as_wrong
 
 def test_given_currents_of_an_arm_that_pauses_when_looked_at_then_rests_do_not_decide_gains():
     true = np.array([joint.torque_gain for joint in ur10e().joints])
-    blank = with_joints(ur10e(), torque_gain=[1.0] * len(true))
+    blank = with_joint_values(ur10e(), torque_gain=[1.0] * len(true))
     workshop = Workshop(blank, [recording_of_twin(1002)], 0.7)
     workshop.estimate_gains()
     ratio = workshop.gain / true
@@ -213,7 +213,7 @@ def test_given_friction_of_another_day_then_errors_of_tools_are_as_stated(arm, s
         rng = np.random.default_rng(seed)
         warmth = rng.uniform(0.8, 1.2, len(arm.joints))
         friction = [JointFriction(0.2, 1.0 * w, 1.5 * w, 40.0) for w in warmth]
-        warm = payload.with_payload(with_joints(arm, friction=friction), TOOL)
+        warm = payload.with_payload(with_joint_values(arm, friction=friction), TOOL)
         reach, speed = np.full(3, 1.5), np.full(3, 1.8)
         motion = random_trajectory(rng, np.zeros(3), reach, speed, 20.0)
         found = payload.identify_payload(arm, [simulated(warm, seed, motion=motion)])
@@ -230,7 +230,7 @@ def test_given_filtered_efforts_when_identified_then_their_bandwidth_is_found(ar
 
 def test_given_friction_that_grows_with_load_when_identified_then_it_is_chosen(arm, simulated):
     frictions = [JointFriction(0.1, 0.5, 0.5, 60.0, load) for load in (0.0, 0.2, 0.0)]
-    recording = simulated(with_joints(arm, friction=frictions), 7, torque=0.005)
+    recording = simulated(with_joint_values(arm, friction=frictions), 7, torque=0.005)
     found = identify(arm, [recording]).arm
     assert found.joints[1].friction.load == pytest.approx(0.2, abs=0.03)
 
@@ -241,7 +241,7 @@ def test_given_a_prismatic_joint_when_identified_then_forces_fit(arm, simulated)
     arm = changed_joints(arm, 0, axis=(0.6, 0.0, 0.8), **changes)
     recording = simulated(arm, motion=plan_excitation(arm, 20.0, trials=10).trajectory)
     heavier = [LinkInertia.from_vector(1.2 * joint.link.to_vector()) for joint in arm.joints]
-    found = identify(with_joints(arm, link=heavier), [recording])
+    found = identify(with_joint_values(arm, link=heavier), [recording])
     assert np.all(found.figures.rms < 0.025 * np.max(np.abs(recording.effort), axis=0))
     assert found.arm.joints[0].is_prismatic and found.mistakes == ()
     assert any('N for N m, m for rad' in text for text in remarks(found))
@@ -368,7 +368,7 @@ def test_given_few_samples_or_no_motion_then_it_is_said(arm, recording, motion, 
 
 def test_given_axes_that_hardly_miss_each_other_when_fitted_then_joints_are_driven(arm, simulated):
     places, up, across = [(0.0, 0.003, 0.2)] * 3, (0.0, 0.0, 1.0), (0.0, 1.0, 0.0)
-    wrist = with_joints(arm, position=places, axis=[up, across, up])
+    wrist = with_joint_values(arm, position=places, axis=[up, across, up])
     workshop = Workshop(wrist, [simulated(wrist)])
     # First moments over 3 mm are base parameters of 100 kg, which cancel.
     assert np.abs(workshop.prior.mean).max() > 100.0

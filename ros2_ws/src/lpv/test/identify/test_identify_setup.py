@@ -7,7 +7,7 @@ import pytest
 import yaml
 from bags import write_measurements
 from fault_injection import DATA, csv_stream, moves_and_rests, two_links
-from fault_injection import with_joints as changed_joints
+from fault_injection import with_joint_values as changed_joints
 from scipy.interpolate import make_interp_spline
 from ur10e_twin import recording as recording_of_twin
 from ur10e_twin import ur10e
@@ -22,7 +22,7 @@ from lpv.core.serial_arm.dynamics.model import SerialModel
 from lpv.identify import sensors as of_sensors
 from lpv.identify.errors import IdentificationError
 from lpv.identify.estimation import delays, mistakes, payload
-from lpv.identify.estimation.assembly import with_joints
+from lpv.identify.estimation.assembly import with_joint_values
 from lpv.identify.estimation.torque_error import calibrate, torque_error, torque_tolerance
 from lpv.identify.model import rigid_body
 from lpv.identify.motions import Bounds, plan_excitation, random_trajectory, write_reference
@@ -92,7 +92,7 @@ def test_given_heavy_rotors_and_friction_when_planned_then_torques_keep_their_li
     drives = {'rotor_inertia': [8.0] * 3, 'friction': [JointFriction(2.0, 0.1, 1.0, 50.0, 0.1)] * 3}
     limits = [max(3.0 * torque, 20.0) for torque in plan_excitation(arm, 12.0, trials=3).torque]
     most = [replace(one.limits, torque=torque) for one, torque in zip(arm.joints, limits)]
-    heavy = with_joints(arm, limits=most, **drives)
+    heavy = with_joint_values(arm, limits=most, **drives)
     plan = plan_excitation(heavy, 12.0, trials=10)
     assert np.all(torques_of(heavy, plan) <= 1.001 * plan.torque) and np.all(plan.torque < limits)
 
@@ -100,7 +100,7 @@ def test_given_heavy_rotors_and_friction_when_planned_then_torques_keep_their_li
 def test_given_much_viscous_friction_when_planned_then_a_slower_motion_counts_as_slower(arm):
     most = [0.5 * 100.0 * 0.6 * one.limits.velocity + 60.0 for one in arm.joints]
     limits = [replace(one.limits, torque=torque / 0.8) for one, torque in zip(arm.joints, most)]
-    viscous = with_joints(arm, limits=limits, friction=[JointFriction(0.0, 100.0)] * 3)
+    viscous = with_joint_values(arm, limits=limits, friction=[JointFriction(0.0, 100.0)] * 3)
     plan = plan_excitation(viscous, 12.0, trials=3)  # no motion at full speed keeps the limits
     largest = torques_of(viscous, plan)
     assert np.all(largest <= 1.001 * plan.torque) and np.all(plan.torque <= largest + 60.0)
@@ -360,7 +360,7 @@ def test_given_a_proper_setup_when_looked_at_then_there_are_no_mistakes(rough_ar
 
 def as_in_a_urdf(arm):
     """The arm without statements of its friction and rotors."""
-    return with_joints(arm, friction=[JointFriction()] * 3, rotor_inertia=[0.0] * 3)
+    return with_joint_values(arm, friction=[JointFriction()] * 3, rotor_inertia=[0.0] * 3)
 
 
 def test_given_a_wrist_with_a_geared_rotor_when_looked_at_then_no_ratio_is_doubted(arm, simulated):
@@ -392,7 +392,7 @@ def test_given_a_joint_that_slides_and_rests_then_no_names_are_swapped(arm, simu
 
 
 def test_given_friction_at_rest_as_in_the_next_motion_then_a_delay_is_found(arm, simulated):
-    sticky = with_joints(arm, friction=[JointFriction(0.0, 1.0, 3.0, 500.0)] * 3)
+    sticky = with_joint_values(arm, friction=[JointFriction(0.0, 1.0, 3.0, 500.0)] * 3)
     one = simulated(sticky, motion=Stops([1.0] * 3, [1.5] * 3, 1))
     moves = moving(one.velocity, 0.01, np.ones(3))
     ahead = np.sign(one.velocity) * moves

@@ -116,7 +116,7 @@ def with_parameters(arm: SerialArm, values: np.ndarray, slope: np.ndarray) -> Se
     links = values[: N_INERTIAL * n].reshape(n, N_INERTIAL)
     rotors, viscous, coulomb, load, offset = values[N_INERTIAL * n :].reshape(-1, n).tolist()
     terms = zip(offset, viscous, coulomb, slope.tolist(), load)
-    return with_joints(
+    return with_joint_values(
         arm,
         link=[LinkInertia.from_vector(link) for link in links],
         friction=[JointFriction(*one) for one in terms],
@@ -124,7 +124,7 @@ def with_parameters(arm: SerialArm, values: np.ndarray, slope: np.ndarray) -> Se
     )
 
 
-def with_joints(arm: SerialArm, **values: Iterable[Any]) -> SerialArm:
+def with_joint_values(arm: SerialArm, **values: Iterable[Any]) -> SerialArm:
     """Arm with other values of some fields of `SerialJoint`, one for each joint."""
     changes = [dict(zip(values, row)) for row in zip(*values.values(), strict=True)]
     joints = zip(arm.joints, changes, strict=True)

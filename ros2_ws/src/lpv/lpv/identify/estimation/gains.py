@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from lpv.core.serial_arm.description import N_INERTIAL, SerialArm
-from lpv.identify.estimation.assembly import with_joints, with_parameters
+from lpv.identify.estimation.assembly import with_joint_values, with_parameters
 from lpv.identify.estimation.regression import Problem, Rows, fit_parameters
 from lpv.identify.estimation.robust import normal_equations, predicted, solve_normal
 from lpv.identify.model.friction import TERMS
@@ -90,7 +90,7 @@ def rescaled(arm: SerialArm, factor: float) -> SerialArm:
     slope = np.array([joint.friction.coulomb_slope for joint in arm.joints])
     scaled = with_parameters(arm, factors.ravel() * arm.parameter_vector(), slope)
     tolerances = [joint.torque_tolerance for joint in arm.joints]
-    scaled = with_joints(
+    scaled = with_joint_values(
         scaled,
         torque_gain=[factor * joint.torque_gain for joint in arm.joints],
         rotor_coupling=[factor * joint.rotor_coupling for joint in arm.joints],

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from lpv.core.serial_arm.description import SerialArm
-from lpv.identify.estimation.assembly import covariance_of_all, fit_of, with_joints
+from lpv.identify.estimation.assembly import covariance_of_all, fit_of, with_joint_values
 from lpv.identify.estimation.evaluation import (
     Determination,
     Figures,
@@ -117,7 +117,7 @@ def _finish(
     speed, missed, used = map(np.concatenate, (rates, residuals, counts))
     tolerances = [torque_tolerance(speed[one, j], missed[one, j]) for j, one in enumerate(used.T)]
     delays = workshop.effort_delay.tolist()
-    arm = with_joints(arm, effort_delay=delays, torque_tolerance=tolerances)
+    arm = with_joint_values(arm, effort_delay=delays, torque_tolerance=tolerances)
     determined = int(determination.determined.sum())
     error = torque_error(rates, residuals, counts, workshop.step, usual_error(workshop.arm))
     return replace(

@@ -10,7 +10,7 @@ from lpv.core.support.limits import MAX_GAP
 from lpv.identify.estimation.assembly import (
     consistent_parameters,
     fit_of,
-    with_joints,
+    with_joint_values,
     with_parameters,
 )
 from lpv.identify.estimation.delays import effort_delays, rate_delays
@@ -79,7 +79,7 @@ class Workshop:
         if self.arm.effort_unit == 'N m' or np.any(self.gain != 1.0):
             return
         self.gain = estimate_gains(self.train_rows(), self.bands, self.prior)
-        self.arm = with_joints(self.arm, torque_gain=self.gain.tolist())
+        self.arm = with_joint_values(self.arm, torque_gain=self.gain.tolist())
         self.warnings.append(
             'the scale of gains and masses is that of the masses given; a tool of known mass '
             'corrects it (--payload --known-mass)'
