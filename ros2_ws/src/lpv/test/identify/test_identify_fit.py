@@ -1,4 +1,5 @@
 import re
+import warnings
 from dataclasses import replace
 
 import numpy as np
@@ -384,6 +385,9 @@ def test_given_bad_samples_or_stamps_when_cleaned_then_few_are_mended_many_refus
     pytest.raises(IdentificationError, cleaned, recording, effort=effort).match('only 50 %')
     with pytest.raises(IdentificationError, match='has 1 samples of the joints'):
         cleaned(recording.rows(slice(1)))
+    with warnings.catch_warnings():
+        warnings.simplefilter('error')
+        assert len(cleaned(recording.rows(slice(2))).time) == 2
     for rates, told in ((np.nan, 'are missing, they are computed'), (0.0, 'stand still while')):
         mended = cleaned(recording, velocity=np.full_like(effort, rates))
         assert mended.velocity is None and mended.warnings[0].startswith(f'rates {told}')

@@ -229,8 +229,10 @@ def _roughness(time: np.ndarray, position: np.ndarray) -> float:
     """How much the motion jerks in these times: jitter of stamps looks like acceleration."""
     step = np.diff(time)
     keep = step > 1e-6
+    if np.count_nonzero(keep) < 2:
+        return np.inf
     rate = np.diff(position, axis=0)[keep] / step[keep, None]
-    return float(np.median(np.abs(np.diff(rate, axis=0)), axis=0).sum()) if keep.any() else np.inf
+    return float(np.median(np.abs(np.diff(rate, axis=0)), axis=0).sum())
 
 
 def _read_bag(path: Path, joints: Sequence[str], topic: str | None) -> tuple[Any, ...]:
