@@ -1,6 +1,7 @@
 """Look of the figures: palette, Matplotlib settings, thinning of long curves."""
 
 import io
+import warnings
 from collections.abc import Callable, Iterable
 from typing import Any
 
@@ -88,7 +89,9 @@ HATCHED = {'facecolor': 'none', 'edgecolor': SOFT, 'hatch': '////'}
 def picture(draw: Callable[..., Figure | None], *subject: Any) -> bytes:
     """PNG of the figure that a function draws of a subject; empty where it draws none."""
     buffer = io.BytesIO()
-    with plt.rc_context(SETTINGS):
+    with plt.rc_context(SETTINGS), warnings.catch_warnings():
+        # Names in scripts that the font lacks are boxes here; pages have them as text.
+        warnings.filterwarnings('ignore', 'Glyph .* missing from')
         figure = draw(*subject)
         if figure is not None:
             for text in figure.findobj(Text):

@@ -4,6 +4,7 @@ import html
 import io
 import re
 import shutil
+import warnings
 from dataclasses import replace
 from pathlib import Path
 
@@ -319,13 +320,15 @@ def test_given_a_run_of_three_joints_when_reported_then_its_alarm_is_listed(tmp_
 
 
 def test_given_names_that_look_like_markup_then_they_are_said_as_they_are(tmp_path, call):
-    name = 'a[/b] [red]$x_{1$'
+    name = 'a[/b] \u8098 [red]$x_{1$'
     sensors = (replace(j.sensors, name=f'{name}{j.name}') for j in crane().joints)
     joints = tuple(replace(j, sensors=s) for j, s in zip(crane().joints, sensors))
     save_arm(replace(crane(), joints=joints), tmp_path / 'arm.yaml')
     measured = record_crane(tmp_path / name[-5:], crane_run(faults=[LARGE]))
     files = ['--arm', tmp_path / 'arm.yaml', '--out', tmp_path / '[out]']
-    said = call('replay', measured, *files, '--report', tmp_path / 'report').out
+    with warnings.catch_warnings():
+        warnings.simplefilter('error')
+        said = call('replay', measured, *files, '--report', tmp_path / 'report').out
     assert f'ALARM, {name}joint2: ' in said and f'{tmp_path}/[out]\n' in said
     assert f'{name}joint2' in text((tmp_path / 'report' / 'report.html').read_text())
 
