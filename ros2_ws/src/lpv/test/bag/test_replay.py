@@ -548,11 +548,13 @@ def test_given_bad_input_when_run_then_it_is_said(bag, tmp_path, monkeypatch, ca
         Path(f'{name}.yaml').write_text(text)
     for name, value in (others := {'max_gap': 0, 'initial_samples': 2.7}).items():
         Path(f'{name}.yaml').write_text(f'/**: {{ros__parameters: {{{name}: {value}}}}}')
+    Path('old.bag').write_text('#ROSBAG V2.0\n')
     precious.parent.mkdir()
     precious.write_text('mine')
     for named, *mistakes in (
         ('nothing', {'bag': 'nothing'}),
         ('is not a bag: a rosbag2 folder', {'bag': 'tuned.yaml'}),
+        ('rosbags-convert --src old.bag --dst old', {'bag': 'old.bag'}),
         ('neither a file nor shipped', {'arm': 'unknown_arm'}, {'arm': 'nothing.yaml'}),
         ('nothing.yaml', *({name: 'nothing.yaml'} for name in ('gains', 'inject', 'parameters'))),
         ('paper.yaml', {'gains': PAPER_ARM}, {'parameters': PAPER_ARM}),

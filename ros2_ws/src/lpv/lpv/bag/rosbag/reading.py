@@ -253,6 +253,9 @@ def _opened(path: Path, stack: ExitStack) -> BagReader:
         damages.append(str(error))
     if path.is_file() and _is_compressed(path):
         raise BagError(f'{path}: is compressed by rosbag2: give the folder that it is in')
+    if path.is_file() and path.suffix == '.bag':
+        how = f'rosbags-convert --src {path} --dst {path.stem}'
+        raise BagError(f'{path}: is a bag of ROS 1; this makes one of ROS 2 of it: {how}')
     if path.is_file() and path.suffix not in ('.mcap', '.db3'):
         raise BagError(f'{path}: is not a bag: a rosbag2 folder, or an .mcap or .db3 file')
     paths = _numbered(path, '.db3') if path.is_dir() else [path] * (path.suffix == '.db3')
