@@ -81,12 +81,12 @@ def beside_bag(bag: str | Path, name: str) -> Path | None:
 
 
 def find_arm_and_gains(
-    bag: str | Path, arm: SerialArm | None, gains: str | None
+    bag: str | Path, arm: SerialArm | None, gains: str | Path | None = None
 ) -> tuple[SerialArm, Path | None, str]:
     """Arm and gains as given, else of the bag, else shipped; where the gains come from."""
     if not Path(bag).exists():
         raise BagError(f'{bag}: there is no such bag')
-    file = bringup_file('gains', gains) if gains else beside_bag(bag, GAINS_NAME)
+    file = bringup_file('gains', str(gains)) if gains else beside_bag(bag, GAINS_NAME)
     source = file.name + ('' if gains else ' of the bag') if file else ''
     if arm:
         return arm, file, source

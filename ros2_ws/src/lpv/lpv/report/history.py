@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from lpv.bag.rosbag.output_folder import GAINS_NAME, SCENARIO_NAME
+from lpv.bag.rosbag.output_folder import SCENARIO_NAME
 from lpv.bag.run.record import (
     NodeReport,
     RecordedAlarm,
@@ -25,7 +25,8 @@ from lpv.core.simulation.faults import tells_of
 from lpv.core.simulation.scenario import load_scenario
 from lpv.core.support.errors import LpvError
 from lpv.core.support.limits import MAX_GAP
-from lpv.report.certificate import Certificate, beside_bag, examine
+from lpv.core.support.resources import bringup_file
+from lpv.report.certificate import Certificate, beside_bag, examine, find_arm_and_gains
 from lpv.report.table import make_table
 
 INCONSISTENT, SAFE_STOP, UNSAFE = 'inconsistent', 'safe stop', 'not trustworthy'
@@ -384,22 +385,23 @@ class Run:
 
 def load(
     bag: str | Path,
-    arm: SerialArm,
-    path: SerialPath | None = None,
-    title: str = 'Run',
+    arm: SerialArm | None = None,
+    scenario: str | Path | None = None,
+    title: str = '',
     gains: str | Path | None = None,
-    source: str = '',
     topic: str | None = None,  # of the measurements, in a bag of several arms
 ) -> Run:
-    """Read all that a report needs; path and gains are those of the bag if not given."""
+    """Read all that a report needs; arm, scenario and gains are those of the bag if not given."""
+    arm, gains, source = find_arm_and_gains(bag, arm, gains)
     record = load_run(bag, topic, arm.joint_names)
     streams = ('fault_estimate', 'state_estimate', 'torque_command')
     known = next((record.topics[name] for name in streams if name in record.topics), None)
     reports = {} if known is None else node_reports(bag, known.rpartition('/')[0])
-    if gains is None and (gains := beside_bag(bag, GAINS_NAME)) is not None:
-        source = f'{gains.name} of the bag'
-    scenario = beside_bag(bag, SCENARIO_NAME)
-    if path is None and scenario is not None:
+    path = None
+    if scenario:
+        path = load_scenario(bringup_file('scenarios', str(scenario))).path(arm)
+    elif copy := beside_bag(bag, SCENARIO_NAME):
         with contextlib.suppress(LpvError):  # a damaged copy must not stand in the way of a report
-            path = load_scenario(scenario).path(arm)
+            path = load_scenario(copy).path(arm)
+    title = title or f'{Path(bag).name}, arm “{arm.name}”'
     return Run(record, arm, reports, examine(gains, arm, source), title, path)

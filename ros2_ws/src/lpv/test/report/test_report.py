@@ -67,8 +67,8 @@ def gains_file(paper_gains, tmp_path_factory):
 
 
 @pytest.fixture(scope='module')
-def loaded(run, gains_file, paper_arm, two_faults):
-    return load(run, paper_arm, two_faults.path(paper_arm), 'A run', gains_file)
+def loaded(run, gains_file, paper_arm):
+    return load(run, paper_arm, SCENARIO, 'A run', gains_file)
 
 
 @pytest.fixture(scope='module')

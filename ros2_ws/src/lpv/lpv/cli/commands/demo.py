@@ -44,7 +44,7 @@ def run(arguments: argparse.Namespace) -> int:
     default = 'two_faults' if is_designed else arguments.arm_file.stem
     files['scenario'] = bringup_file('scenarios', arguments.scenario or default)
     scenario = load_scenario(files['scenario'])
-    path = scenario.path(arm)
+    scenario.path(arm)
     out = Path(arguments.out).resolve()
     for part in ('bag', 'report'):  # an earlier run's results, and nothing else
         shutil.rmtree(out / part, ignore_errors=True)
@@ -69,7 +69,7 @@ def run(arguments: argparse.Namespace) -> int:
     from lpv.report.table import print_table
 
     title = f'Scenario {scenario.name}, arm “{arm.name}”'
-    found = load(out / 'bag', arm, path, title, gains)
+    found = load(out / 'bag', arm, files['scenario'], title, gains)
     page = write(found, out / 'report')
     print_table(found.table, console)
     console.print(f'bag     {out / "bag"}\nreport  {page}')
