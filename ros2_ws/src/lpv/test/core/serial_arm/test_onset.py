@@ -8,10 +8,11 @@ from simulated_runs import simulated_run
 from ur10e_twin import twin
 from watched import Watched
 
-from lpv.core.serial_arm.diagnosis import balance, bank, drift_trial, onset
+from lpv.core.serial_arm.diagnosis import balance, bank, contact, drift_trial, onset
 from lpv.core.serial_arm.diagnosis.estimator import set_residuals
 from lpv.core.serial_arm.diagnosis.fault_filter import begin_filter
 from lpv.core.serial_arm.diagnosis.information import recent
+from lpv.core.serial_arm.diagnosis.priors import AMPLITUDES, STEADY_FOR
 from lpv.core.serial_arm.diagnosis.sampler import block_end
 from lpv.core.serial_arm.diagnosis.stuck import Frozen
 from lpv.core.simulation.faults import Fault
@@ -64,6 +65,32 @@ def dense_onsets(monitor, end):
             score = -column @ (weights * residual)
             gain = 0.5 * (score * sigma) ** 2 + np.log(sigma / PRIOR)
             yield onset.Onset(gain, score * sigma**2, sigma, begin, back)
+
+
+def dense_contact(outside, null, residual):
+    """Evidence of rough torques in these residuals, shape (L, n), newest first."""
+    place, evidence = outside.interval * np.arange(len(residual)), 0.0
+    correlation = np.exp(-np.abs(place - place[:, None]) / STEADY_FOR)
+    for left, variance, torque in zip(residual.T, null.noise**2 * null.inflation, outside.torque):
+        signals = (np.array(AMPLITUDES) * torque * outside.interval) ** 2 / variance
+        ratios = [0.0]
+        for matrix in np.eye(len(left)) + signals[:, None, None] * correlation:
+            explained = left @ left - left @ np.linalg.solve(matrix, left)
+            ratios.append(0.5 * (explained / variance - np.linalg.slogdet(matrix)[1]))
+        evidence += max(0.0, max(ratios) - contact.ROUGH_PENALTY)
+    return evidence
+
+
+def test_given_residuals_when_rough_torques_explain_them_then_as_by_dense_matrices(monitor):
+    outside, null = monitor.bank.parts.outside, monitor.estimator.posterior
+    contact.watch_noise(outside, null)
+    null.residual[:] = 3.0 * null.noise * np.random.default_rng(1).normal(size=null.residual.shape)
+    last, newest = len(outside.rough), 2
+    found = contact.rough_contact(outside, null, newest, last)
+    assert found == outside.rough[-1]
+    expected = [dense_contact(outside, null, null.residual[newest:][:k]) for k in (1, 9, last)]
+    assert outside.rough[[0, 8, -1]] == pytest.approx(expected, rel=1e-9)
+    assert expected[-1] > expected[1] > 0.0
 
 
 def test_given_an_alarm_when_it_is_raised_then_no_drift_is_sought_long_before_it():

@@ -207,7 +207,7 @@ class Bank:
         self._lengths = np.array(lengths)
         # A start of the grid stands for those up to the next longer one.
         self._starts = np.diff([*lengths, 2 * lengths[-1] - lengths[-2]]).astype(float)
-        self._outside = new_contact([*lengths, ONSET + 1], push, plan.interval, plan.capacity)
+        self._outside = new_contact(max(lengths[-1], ONSET + 1), push, plan.interval, plan.capacity)
         self._derived = estimator.balance.derived == 1.0
         self.kinematics = KinematicRows(arm, plan)
         self._hypotheses()
@@ -513,7 +513,7 @@ class Bank:
         estimator, gains = self.estimator, np.zeros(longest + 1)
         null = estimator.posterior
         estimator.call(weigh_residuals, estimator.window, null, longest + 1)
-        estimator.call(rough_contacts, self._outside, null, len(self._lengths), gains)
+        estimator.call(rough_contacts, self._outside, null, ONSET + 1, gains)
         return gains
 
     def _friction_at_rest(self, last: int) -> FloatArray:

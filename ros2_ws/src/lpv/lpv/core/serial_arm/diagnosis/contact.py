@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lpv.core.serial_arm.chain import Chain, FloatArray, IntArray
+from lpv.core.serial_arm.chain import Chain, FloatArray
 from lpv.core.serial_arm.diagnosis.estimator import Posterior, usual_size
 from lpv.core.serial_arm.diagnosis.information import (
     ROBUST,
@@ -37,60 +37,46 @@ SMOOTH_PENALTY = math.log(len(AMPLITUDES) * len(SMOOTH_TIMES))
 
 
 class Contact(NamedTuple):
-    """Models of torques from outside, for W windows."""
+    """Models of torques from outside, for windows of up to L balances."""
 
-    lengths: IntArray  # of the windows, shape (W,) [balances]
     torque: FloatArray  # largest plausible torques, shape (n,) [N m]
-    variance: FloatArray  # (n,) of balances for which `shares` and `costs` hold [N2 m2 s2]
-    known: IntArray  # (W,) whether they do
-    values: FloatArray  # (W, L) eigenvalues of the correlation of rough torques
-    vectors: FloatArray  # (W, L, L) its eigenvectors
-    shares: FloatArray  # (W, K, n, L) factors of squared residuals along eigenvectors
-    costs: FloatArray  # (W, K, n) what the freedom of K amplitudes costs
+    variance: FloatArray  # (n,) of balances for which `filters` and `costs` hold [N2 m2 s2]
+    decay: float  # correlation of rough torques in neighbouring balances
+    # (K, n, L, 2) of the filter of K amplitudes: factor of an innovation in the next prediction, of
+    # its square in the logarithm of the likelihood [1/(N2 m2 s2)]
+    filters: FloatArray
+    costs: FloatArray  # (K, n, L) what the freedom of K amplitudes costs in so many balances
     # (L, M) time profiles of unit variance along eigenfunctions, as impulses, newest first [s]
     smooth: tuple[FloatArray, ...]
     # (capacity, M') the same, for all of the horizon: torques that change, and constant ones [s]
     horizon: tuple[FloatArray, FloatArray]
-    along: FloatArray  # scratch, shape (L,)
+    interval: float  # [s]
+    rough: FloatArray  # (L,) what `rough_contact` found
+    best: FloatArray  # scratch, shape (L,)
 
 
-def new_contact(lengths: list[int], torque: FloatArray, interval: float, capacity: int) -> Contact:
+def new_contact(longest: int, torque: FloatArray, interval: float, capacity: int) -> Contact:
     """Models of torques from outside, for any noise.
 
-    ``lengths`` are those of the windows [balances]; ``torque``, shape (n,), has the largest
-    plausible torques [N m].  Balances are ``interval`` apart [s]; the horizon holds ``capacity`` of
-    them.
+    ``longest`` is the length of the longest window [balances]; ``torque``, shape (n,), has the
+    largest plausible torques [N m].  Balances are ``interval`` apart [s]; the horizon holds
+    ``capacity`` of them.
     """
-    count, longest, n = len(lengths), max(lengths), len(torque)
-    values, vectors = np.zeros((count, longest)), np.zeros((count, longest, longest))
-    for w, length in enumerate(lengths):
-        values[w, :length], vectors[w, :length, :length] = _rough(length, interval)
     smooth = tuple(_courses(longest, interval, one) for one in SMOOTH_TIMES)
     changing = _courses(capacity, interval, HORIZON_TIME)
     constant = _courses(capacity, interval, SMOOTH_TIMES[0])
-    shares = len(AMPLITUDES)
+    shape = len(AMPLITUDES), len(torque), longest
     return Contact(
-        np.array(lengths), torque, np.zeros(n), np.zeros(count, np.int64),
-        values * interval**2, vectors, np.zeros((count, shares, n, longest)),
-        np.zeros((count, shares, n)), smooth, (changing, constant), np.zeros(longest))  # fmt: skip
-
-
-def _distances(count: int, interval: float) -> FloatArray:
-    place = interval * np.arange(count)
-    return np.abs(place - place[:, None])
-
-
-@lru_cache(maxsize=64)
-def _rough(count: int, interval: float) -> tuple[FloatArray, FloatArray]:
-    """Eigenvalues and eigenvectors of the correlation of rough torques."""
-    values, vectors = np.linalg.eigh(np.exp(-_distances(count, interval) / STEADY_FOR))
-    return values, vectors
+        torque, np.zeros(len(torque)), math.exp(-interval / STEADY_FOR), np.zeros((*shape, 2)),
+        np.zeros(shape), smooth, (changing, constant), interval, *np.zeros((2, longest)),
+    )  # fmt: skip
 
 
 @lru_cache(maxsize=16)
 def _courses(count: int, interval: float, time: float) -> FloatArray:
     """Leading eigenfunctions of a Gaussian kernel whose variance is not negligible."""
-    kernel = np.exp(-0.5 * (_distances(count, interval) / time) ** 2)
+    place = interval * np.arange(count)
+    kernel = np.exp(-0.5 * ((place - place[:, None]) / time) ** 2)
     values, vectors = (part[..., ::-1] for part in np.linalg.eigh(kernel))
     kept = values > NEGLIGIBLE * values[0]
     return np.ascontiguousarray(interval * vectors[:, kept] * np.sqrt(values[kept]))
@@ -98,12 +84,12 @@ def _courses(count: int, interval: float, time: float) -> FloatArray:
 
 @njit_in_place
 def watch_noise(contact: Contact, null: Posterior) -> None:
-    """Forget what depends on the noise, where that has changed."""
+    """Write what depends on the noise, where that has changed."""
     for i in range(null.noise.shape[0]):
         variance = null.noise[i] * null.noise[i] * null.inflation[i]
         if contact.variance[i] != variance:
             contact.variance[i] = variance
-            contact.known[:] = 0
+            _set_filters(contact, i)
 
 
 @njit_in_place
@@ -122,61 +108,61 @@ def weigh_residuals(window: Window, null: Posterior, last: int) -> None:
 
 
 @njit_in_place
-def rough_contact(contact: Contact, null: Posterior, w: int, oldest: int) -> float:
-    """Log ratio of marginal likelihoods of rough torques, for all windows in any case.
+def rough_contact(contact: Contact, null: Posterior, newest: int, count: int) -> float:
+    """Log ratio of marginal likelihoods of rough torques in so many balances.
 
-    With the eigenvalues l_k of the correlation and z_k the residuals along its eigenvectors,
-    sum_k [g z_k^2 / s^2 - log(1 + a^2 l_k / s^2)] / 2, g = a^2 l / (s^2 + a^2 l).  The arm's
-    unknowns are held.
+    ``newest`` balances came after them.  Rough torques are a Markov process, in either direction of
+    time: with the residuals z_k, less what those of the balances after it predict, of variance S_k,
+    sum_k [r_k^2 / s^2 - z_k^2 / S_k - log(S_k / s^2)] / 2.  The arm's unknowns are held.
 
-    ``w`` is the index of the window's length; the window begins ``oldest`` balances before the last
-    one.  ``null`` must hold the residuals.
+    Those of fewer balances are written into ``rough``, by the oldest one.  ``null`` must hold the
+    residuals.
     """
-    if contact.known[w] == 0:
-        _set_shares(contact, w)
-    total, length, along = 0.0, contact.lengths[w], contact.along
+    rough, best = contact.rough, contact.best
+    rough[:count] = 0.0
     for i in range(contact.torque.shape[0]):
-        along[:length] = 0.0
-        for j in range(length):
-            residual, vector = null.residual[oldest - j, i], contact.vectors[w, j]
-            for k in range(length):
-                along[k] += residual * vector[k]
-        for k in range(length):
-            along[k] *= along[k]
-        best = 0.0
-        for c in range(contact.costs.shape[1]):
-            ratio, shares = -contact.costs[w, c, i], contact.shares[w, c, i]
-            for k in range(length):
-                ratio += shares[k] * along[k]
-            best = max(best, ratio)
-        total += best
-    return total
+        best[:count] = 0.0
+        alone = 0.5 / contact.variance[i]
+        for c in range(contact.costs.shape[0]):
+            ratio, predicted, filters = 0.0, 0.0, contact.filters[c, i]
+            for k in range(count):
+                residual = null.residual[newest + k, i]
+                left = residual - predicted
+                ratio += alone * residual * residual - filters[k, 1] * left * left
+                predicted = contact.decay * predicted + filters[k, 0] * left
+                best[k] = max(best[k], ratio - contact.costs[c, i, k])
+        for k in range(count):
+            rough[k] += best[k]
+    return float(rough[count - 1])
 
 
 @njit_in_place
-def rough_contacts(contact: Contact, null: Posterior, w: int, gains: FloatArray) -> None:
-    """Write those of windows that begin so many balances before the last one, shape (L,).
+def rough_contacts(contact: Contact, null: Posterior, count: int, gains: FloatArray) -> None:
+    """Write those of ``count`` balances that begin so many before the last one, shape (L,).
 
     The first ones, of windows that would end later, are not written.
     """
-    for oldest in range(contact.lengths[w] - 1, gains.shape[0]):
-        gains[oldest] = rough_contact(contact, null, w, oldest)
+    for oldest in range(count - 1, gains.shape[0]):
+        gains[oldest] = rough_contact(contact, null, oldest - count + 1, count)
 
 
 @njit_in_place
-def _set_shares(contact: Contact, w: int) -> None:
-    """Write what `rough_contact` needs for a window at the present noise."""
-    for i in range(contact.torque.shape[0]):
-        variance = contact.variance[i]
-        for c in range(len(AMPLITUDES)):
-            amplitude = AMPLITUDES[c] * contact.torque[i]
-            cost = ROUGH_PENALTY
-            for k in range(contact.lengths[w]):
-                signal = contact.values[w, k] * amplitude * amplitude / variance
-                contact.shares[w, c, i, k] = 0.5 * signal / ((1.0 + signal) * variance)
-                cost += 0.5 * np.log1p(signal)
-            contact.costs[w, c, i] = cost
-    contact.known[w] = 1
+def _set_filters(contact: Contact, i: int) -> None:
+    """Write what `rough_contact` needs for a joint at the present noise."""
+    variance, kept, longest = contact.variance[i], contact.decay**2, contact.best.shape[0]
+    for c in range(contact.costs.shape[0]):
+        torque = AMPLITUDES[c] * contact.torque[i] * contact.interval
+        usual = power = torque * torque
+        cost, step, before = ROUGH_PENALTY, 0.0, 0.0
+        for k in range(longest):
+            total = power + variance
+            if power != before:  # it soon stays the same
+                step, before = 0.5 * np.log1p(power / variance), power
+            cost += step
+            contact.filters[c, i, k, 0] = contact.decay * power / total
+            contact.filters[c, i, k, 1] = 0.5 / total
+            contact.costs[c, i, k] = cost
+            power = usual + kept * (power * variance / total - usual)
 
 
 def joint_levers(torque: FloatArray, last: int) -> FloatArray:

@@ -136,10 +136,10 @@ def gather(
         _add_rows(evidence, rows, window.times[slot(window, 0)] - times[0], w)
     watch_noise(outside, null)
     weigh_residuals(window, null, longest + 1)
+    rough_contact(outside, null, 0, longest)
     every, pushed = -np.inf, -np.inf
     for w in range(count):
-        length = evidence.lengths[w]
-        evidence.contact[w] = rough_contact(outside, null, w, length - 1)
+        evidence.contact[w] = outside.rough[evidence.lengths[w] - 1]
         pushed = np.logaddexp(pushed, evidence.contact[w] + evidence.starts[w])
         for i in range(n):
             for k in range(kinds.basis.shape[0]):
