@@ -6,7 +6,7 @@ import numpy as np
 
 from lpv.core.serial_arm.chain import FloatArray
 from lpv.core.serial_arm.description import SerialArm
-from lpv.core.uio.model.dynamics import acceleration
+from lpv.core.uio.model.dynamics import acceleration, set_pose
 from lpv.core.uio.model.joints import JointMap
 from lpv.core.uio.model.polytope import paper_scheduling, paper_weights, sinc_box, vertex_matrices
 from lpv.core.uio.planar import planar_links
@@ -33,6 +33,7 @@ class PaperPlant:
         planar = planar.with_payload(scenario.payload) if scenario.payload else planar
         self._joints, self._constants = JointMap(planar), planar.constants(False)
         self._box, self._weights = sinc_box(scenario.sinc_min), np.zeros(8)
+        self._pose = np.zeros((2, 3))
         self._lower: FloatArray | None = None  # rows of A_i and B_i that give theta''
         if scenario.plant == 'lpv':
             lower = np.dstack(vertex_matrices(self._box, self._constants))[:, 2:]
@@ -67,6 +68,7 @@ class PaperPlant:
     def _acceleration(self, x: FloatArray, torque: FloatArray) -> FloatArray:
         """theta'' without disturbance, of the LPV plant by eq. (25) [rad/s2]."""
         if self._lower is None:
-            return np.array(acceleration(x, x[2:], torque, self._constants))
+            set_pose(self._pose, x)
+            return np.array(acceleration(self._pose, x[2:], torque, self._constants))
         paper_weights(paper_scheduling(x[0], x[1]), self._box, self._weights)
         return (self._weights @ self._lower).reshape(2, 6) @ np.append(x, torque)

@@ -17,7 +17,7 @@ from lpv.core.support.records import new_record
 from lpv.core.uio.bound.error_bound import error_bound
 from lpv.core.uio.bound.unknown_torque import MOTION, healthy_arm, unknown_torque
 from lpv.core.uio.certificate.error_system import exact_fault_sigma, link_errors
-from lpv.core.uio.model.dynamics import friction
+from lpv.core.uio.model.dynamics import friction, set_pose
 from lpv.core.uio.model.joints import JointMap
 from lpv.core.uio.planar import planar_model
 from lpv.core.uio.unknown_input_observer import UnknownInputObserver
@@ -108,8 +108,8 @@ def test_given_links_rotors_and_payload_of_the_file_then_their_torque_is_bounded
         missed = true.inverse_dynamics(q, v, a) - nominal.inverse_dynamics(q, v, a)
         missed = angles.absolute_torque(missed)
         driven = np.tile(angles.absolute_velocity(a), (2, 1))
-        pose = {'theta': angles.absolute_position(q), 'rate': angles.absolute_velocity(v)}
-        motion = new_record(MOTION, **pose, driven=driven)
+        motion = new_record(MOTION, rate=angles.absolute_velocity(v), driven=driven)
+        set_pose(motion.pose, angles.absolute_position(q))
         most = np.zeros(2)
         unknown_torque(known, motion, most)
         assert np.all(np.abs(missed) <= most)

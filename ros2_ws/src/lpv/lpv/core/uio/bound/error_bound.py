@@ -45,7 +45,7 @@ from lpv.core.uio.bound.zonotope import (
     reduce_columns,
     shear_columns,
 )
-from lpv.core.uio.model.dynamics import coupling
+from lpv.core.uio.model.dynamics import COSINE, SINE, coupling, set_pose
 from lpv.core.uio.model.joints import row_size
 from lpv.core.uio.observer.exact_observer import ExactObserverGains, injection
 from lpv.core.uio.observer.sampled_observer import ObserverGains
@@ -226,7 +226,8 @@ def _read_motion(params: np.record, state: np.record, observer: np.record) -> No
     """
     motion, arm, bend = state.motion, params.unknown.arm, state.bend
     for i in range(2):
-        motion.theta[i] = observer.x[i]
+        for k in range(3):
+            motion.pose[i, k] = observer.pose[i, k]
         motion.rate[i] = observer.v_new[i]
         motion.innovation[i] = observer.innovation[i]
         motion.mu[i] = params.mu[i]
@@ -234,7 +235,7 @@ def _read_motion(params: np.record, state: np.record, observer: np.record) -> No
         state.kappa[i] = 0.0 if observer.held[i] else params.kappa[i]
         bend[i] = max(observer.bend[i], _FADING * bend[i])
         state.reckoning.jump[i] += observer.interval * observer.interval / 12.0 * bend[i]
-    off = abs(coupling(motion.theta, arm))
+    off = abs(coupling(motion.pose, arm))
     state.turned[0] = arm.inertia[0] * bend[0] + off * bend[1]
     state.turned[1] = off * bend[0] + arm.inertia[1] * bend[1]
     bound_rate_errors(params.unknown, motion)
@@ -242,7 +243,7 @@ def _read_motion(params: np.record, state: np.record, observer: np.record) -> No
     r = motion.innovation[0], motion.innovation[1]
     acc = observer.acceleration
     carry_load(params.unknown, motion, acc)
-    _, _, k_1, k_2 = injection(motion.theta, motion.rate, r, params.mu, arm)
+    _, _, k_1, k_2 = injection(motion.pose, motion.rate, r, params.mu, arm)
     for i in range(2):
         motion.driven[i, 0] = acc[0] - k_1 + params.mu[i] * r[0]
         motion.driven[i, 1] = acc[1] - k_2 + params.mu[i] * r[1]
@@ -270,11 +271,10 @@ def error_system(params: np.record, state: np.record, dt: float) -> None:
     margin the slope is a middle value, in N, and a remainder that counts as an unknown torque.
     """
     arm, motion, n, inputs = params.unknown.arm, state.motion, state.n, state.inputs
-    difference = motion.theta[0] - motion.theta[1]
-    cosine, sine = math.cos(difference), math.sin(difference)
+    cosine, sine = motion.pose[COSINE, 2], motion.pose[SINE, 2]
     sign, turning = params.sign, motion.rate[0] - motion.rate[1]
     b = sign * arm.coupling
-    off, cross = coupling(motion.theta, arm), inertia_errors(params.unknown, motion)[0]
+    off, cross = coupling(motion.pose, arm), inertia_errors(params.unknown, motion)[0]
     away = motion.margin[0] + motion.margin[1]
     n[:] = 0.0
     inputs[:] = 0.0
@@ -283,7 +283,9 @@ def error_system(params: np.record, state: np.record, dt: float) -> None:
         spin = motion.rate[j] * motion.rate[j] * (-1.0 if i == 0 else 1.0)
         # Coupling of inertia and Coriolis terms through e_1 - e_2.
         couple = b * (sine * motion.driven[i, j] + cosine * (turning * motion.innovation[j] + spin))
-        low, high = _secant_slopes(sign, motion.theta[i], motion.margin[i])
+        low, high = _secant_slopes(
+            sign * motion.pose[COSINE, i], motion.pose[SINE, i], motion.margin[i]
+        )
         n[2 + i, i] = 0.5 * (low + high) * arm.gravity[i] / inertia
         n[2 + i, 0] += couple / inertia
         n[2 + i, 1] -= couple / inertia
@@ -309,12 +311,17 @@ def error_system(params: np.record, state: np.record, dt: float) -> None:
 
 
 @njit
-def _secant_slopes(sign: float, theta: float, margin: float) -> tuple[float, float]:
-    """Smallest and largest slope of s sin between an angle and others within a margin."""
+def _secant_slopes(cosine: float, sine: float, margin: float) -> tuple[float, float]:
+    """Smallest and largest slope of s sin between an angle and others within a margin.
+
+    ``cosine`` is s cos of the angle, ``sine`` its sine.
+    """
     half = 0.5 * min(margin, math.pi)
-    away = math.acos(min(max(sign * math.cos(theta), -1.0), 1.0))
-    share = math.sin(half) / half if half > 1e-6 else 1.0
-    low, high = math.cos(min(away + half, math.pi)), math.cos(max(away - half, 0.0))
+    across, along = math.sin(half), math.cos(half)
+    share = across / half if half > 1e-6 else 1.0
+    # Cosines of the angle from the slope's maximum on, of 0 to pi, and half the margin.
+    low = cosine * along - abs(sine) * across if cosine > -along else -1.0
+    high = cosine * along + abs(sine) * across if cosine < along else 1.0
     return low * share if low > 0.0 else low, high if high > 0.0 else high * share
 
 
@@ -326,13 +333,16 @@ def _advance_set(params: np.record, state: np.record, dt: float) -> None:
         for q in range(SIZE):
             half[r, q] = 0.5 * dt * n[r, q] + (1.0 if r == q else 0.0)
             step[r, q] = dt * half[r, q]
-    map_columns(step, 0, SIZE, n)
+    map_columns(step, SIZE, n)
     for r in range(SIZE):
         step[r, r] += 1.0
+    map_columns(columns, used, step)
+    for r in range(SIZE):  # half a step's travel of the input
         for q in range(_INPUTS):
-            columns[r, used + q] = dt * state.inputs[r, q]
-    map_columns(columns, 0, used, step)
-    map_columns(columns, used, used + _INPUTS, half)  # half a step's travel of the input
+            total = 0.0
+            for k in range(SIZE):
+                total += half[r, k] * (dt * state.inputs[k, q])
+            columns[r, used + q] = total
     state.used = used + _INPUTS
     _make_room(params, state)
 
@@ -354,7 +364,7 @@ def _follow_static(params: np.record, state: np.record, observer: np.record) -> 
 @njit
 def _rest(params: np.record, theta: np.ndarray, motion: np.record, torque: np.ndarray) -> None:
     """Bounds [N m] on the unknown torques of an arm at rest."""
-    motion.theta[0], motion.theta[1] = theta[0], theta[1]
+    set_pose(motion.pose, theta)
     carry_load(params.unknown, motion, (0.0, 0.0))
     unknown_torque(params.unknown, motion, torque)
 

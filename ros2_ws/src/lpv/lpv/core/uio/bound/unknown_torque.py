@@ -13,8 +13,6 @@ signals only; what is linear in the angle errors goes into the matrix of the err
 (`lpv.core.uio.bound.error_bound`), the rest is bounded here.
 """
 
-import math
-
 import numpy as np
 
 from lpv.core.serial_arm.description import RATE_BIAS, SIGMAS
@@ -24,7 +22,7 @@ from lpv.core.serial_arm.two_links import ARM_CONSTANTS, ArmParameters
 from lpv.core.support.inequalities import SAME
 from lpv.core.support.jit import njit_in_place as njit
 from lpv.core.support.records import new_record, record_type
-from lpv.core.uio.model.dynamics import Pair, rigid_torque
+from lpv.core.uio.model.dynamics import COSINE, SINE, Pair, rigid_torque
 from lpv.core.uio.model.joints import JOINT_MAP, JointMap, row_dot, row_size
 
 UNKNOWN_TORQUE = record_type(
@@ -47,7 +45,7 @@ UNKNOWN_TORQUE = record_type(
 """What a healthy arm may do that its model does not say."""
 
 MOTION = record_type(
-    ('theta', 'f8', (2,)),  # theta^ [rad]
+    ('pose', 'f8', (2, 3)),  # of theta^, as of `lpv.core.uio.model.dynamics.set_pose`
     ('rate', 'f8', (2,)),  # v [rad/s]
     ('innovation', 'f8', (2,)),  # r [rad/s]
     ('driven', 'f8', (2, 2)),  # theta^''_j + mu_i r_j [rad/s2]
@@ -106,10 +104,9 @@ def bound_rate_errors(params: np.record, motion: np.record) -> None:
 def inertia_errors(params: np.record, motion: np.record) -> tuple[float, ...]:
     """Bounds at the true angles on the error of Xi_12, on that of its change with the angle between
     the links [kg m2], and on sine and cosine of this angle."""
-    difference = motion.theta[0] - motion.theta[1]
     away = motion.margin[0] + motion.margin[1]
-    sine = min(1.0, abs(math.sin(difference)) + away)
-    cosine = min(1.0, abs(math.cos(difference)) + away)
+    sine = min(1.0, abs(motion.pose[SINE, 2]) + away)
+    cosine = min(1.0, abs(motion.pose[COSINE, 2]) + away)
     part, aside = params.part, params.aside
     cross, swirl = params.constant + part * cosine + aside * sine, part * sine + aside * cosine
     return cross, swirl, sine, cosine
@@ -132,8 +129,8 @@ def unknown_torque(params: np.record, motion: np.record, out: np.ndarray) -> Non
         speed, slip, error = abs(motion.rate[j]), abs(motion.innovation[j]), motion.rate_error[j]
         driven = abs(motion.driven[i, i]) + motion.mu[i] * motion.rate_error[i]
         driven_by_other = abs(motion.driven[i, j]) + motion.mu[i] * error
-        level = min(1.0, abs(math.sin(motion.theta[i])) + motion.margin[i])
-        steep = min(1.0, abs(math.cos(motion.theta[i])) + motion.margin[i])
+        level = min(1.0, abs(motion.pose[SINE, i]) + motion.margin[i])
+        steep = min(1.0, abs(motion.pose[COSINE, i]) + motion.margin[i])
         # (M - Xi^)(theta^'' + mu e'), gravity, centrifugal terms and M' e' with wrong parameters.
         total = own * driven + cross * driven_by_other
         total += params.lift[i] * level + params.lean[i] * steep
@@ -153,7 +150,7 @@ def unknown_torque(params: np.record, motion: np.record, out: np.ndarray) -> Non
 @njit
 def carry_load(params: np.record, motion: np.record, acc: Pair) -> None:
     """Fill ``load`` of a motion with absolute accelerations of the model [rad/s2]."""
-    first, second = rigid_torque(motion.theta, motion.rate, acc, params.arm)
+    first, second = rigid_torque(motion.pose, motion.rate, acc, params.arm)
     motion.load[0], motion.load[1] = abs(first + second), abs(second)
 
 
@@ -167,7 +164,9 @@ def _friction_error(params: np.record, motion: np.record, i: int, rate: float) -
     total += share * abs(arm.offset[i])
     most = (1.0 + share) * dry
     slowest = abs(rate) - error - params.joint_noise[i]
-    if slowest <= 0.0:
+    if dry == 0.0:
+        pass
+    elif slowest <= 0.0:
         total += most + dry * smooth_sign(error, slope)
     else:
         modelled = dry * smooth_sign(abs(rate), slope)

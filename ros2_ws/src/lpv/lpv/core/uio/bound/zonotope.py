@@ -18,12 +18,21 @@ SIZE = 4
 
 
 @njit
-def map_columns(columns: np.ndarray, first: int, end: int, m: np.ndarray) -> None:
-    """Replace every column g from the first one on, before the end, by m @ g."""
-    for j in range(first, end):
+def map_columns(columns: np.ndarray, count: int, m: np.ndarray) -> None:
+    """Replace each of the first columns g by m @ g."""
+    # Not read from m in the loop, which is compiled for several columns at once then.
+    first, second, third, fourth = _row(m, 0), _row(m, 1), _row(m, 2), _row(m, 3)
+    for j in range(count):
         a, b, c, d = columns[0, j], columns[1, j], columns[2, j], columns[3, j]
-        for r in range(SIZE):
-            columns[r, j] = m[r, 0] * a + m[r, 1] * b + m[r, 2] * c + m[r, 3] * d
+        columns[0, j] = first[0] * a + first[1] * b + first[2] * c + first[3] * d
+        columns[1, j] = second[0] * a + second[1] * b + second[2] * c + second[3] * d
+        columns[2, j] = third[0] * a + third[1] * b + third[2] * c + third[3] * d
+        columns[3, j] = fourth[0] * a + fourth[1] * b + fourth[2] * c + fourth[3] * d
+
+
+@njit
+def _row(m: np.ndarray, r: int) -> tuple[float, float, float, float]:
+    return m[r, 0], m[r, 1], m[r, 2], m[r, 3]
 
 
 @njit
@@ -86,8 +95,7 @@ def _put_largest_first(columns: np.ndarray, count: int, size: np.ndarray) -> Non
 @njit
 def extent(columns: np.ndarray, count: int, out: np.ndarray) -> None:
     """Largest absolute value of every coordinate."""
-    for r in range(SIZE):
-        total = 0.0
-        for j in range(count):
-            total += abs(columns[r, j])
-        out[r] = total
+    out[:] = 0.0
+    for j in range(count):  # four sums at once: one alone would wait for each addition
+        for r in range(SIZE):
+            out[r] += abs(columns[r, j])

@@ -17,12 +17,23 @@ from lpv.core.support.jit import njit_in_place as njit
 
 Pair = Any
 """Values of both links: an array or a tuple, of which the first two count."""
+COSINE, SINE = range(2)
+"""Rows of a pose, shape (2, 3): of theta1, theta2 and theta1 - theta2."""
 
 
 @njit
-def coupling(theta: Pair, params: np.record) -> float:
+def set_pose(pose: np.ndarray, theta: Pair) -> None:
+    """Write cosines and sines of absolute angles, which many terms share."""
+    for i in range(2):
+        pose[COSINE, i], pose[SINE, i] = math.cos(theta[i]), math.sin(theta[i])
+    difference = theta[0] - theta[1]
+    pose[COSINE, 2], pose[SINE, 2] = math.cos(difference), math.sin(difference)
+
+
+@njit
+def coupling(pose: np.ndarray, params: np.record) -> float:
     """Off-diagonal inertia Xi12 = o + m2*L1*Lc2*phi1, phi1 = cos(theta1 - theta2), eq. (6)."""
-    return params.rotor_coupling + params.coupling * math.cos(theta[0] - theta[1])
+    return params.rotor_coupling + params.coupling * pose[COSINE, 2]
 
 
 @njit
@@ -38,7 +49,8 @@ def solve_inertia(off: float, first: float, second: float, params: np.record) ->
 @njit
 def _joint_friction(i: int, rate: float, torque: float, params: np.record) -> float:
     """Friction of a joint whose drive gives a torque."""
-    slip = smooth_sign(rate, params.coulomb_slope[i])
+    is_dry = params.coulomb[i] != 0.0 or params.load[i] != 0.0
+    slip = smooth_sign(rate, params.coulomb_slope[i]) if is_dry else 0.0
     free = params.offset[i] + params.viscous[i] * rate + params.coulomb[i] * slip
     loaded = params.load[i] * slip
     if loaded == 0.0:
@@ -59,15 +71,15 @@ def friction(rate: Pair, torque: Pair, params: np.record) -> tuple[float, ...]:
 
 
 @njit
-def rigid_torque(theta: Pair, rate: Pair, acc: Pair, params: np.record) -> tuple[float, ...]:
+def rigid_torque(pose: np.ndarray, rate: Pair, acc: Pair, params: np.record) -> tuple[float, ...]:
     """Generalised torques Q [N m] of a motion without friction, eq. (1).
 
-    Absolute angles, rates and accelerations are in rad, rad/s and rad/s2.
+    Absolute rates and accelerations are in rad/s and rad/s2.
     """
-    off = coupling(theta, params)
-    swirl = params.coriolis * params.coupling * math.sin(theta[0] - theta[1])
-    gravity_1 = params.gravity[0] * math.sin(theta[0])
-    gravity_2 = params.gravity[1] * math.sin(theta[1])
+    off = coupling(pose, params)
+    swirl = params.coriolis * params.coupling * pose[SINE, 2]
+    gravity_1 = params.gravity[0] * pose[SINE, 0]
+    gravity_2 = params.gravity[1] * pose[SINE, 1]
     return (
         params.inertia[0] * acc[0] + off * acc[1] + swirl * rate[1] * rate[1] - gravity_1,
         off * acc[0] + params.inertia[1] * acc[1] - swirl * rate[0] * rate[0] - gravity_2,
@@ -75,12 +87,14 @@ def rigid_torque(theta: Pair, rate: Pair, acc: Pair, params: np.record) -> tuple
 
 
 @njit
-def acceleration(theta: Pair, rate: Pair, torque: Pair, params: np.record) -> tuple[float, ...]:
+def acceleration(
+    pose: np.ndarray, rate: Pair, torque: Pair, params: np.record
+) -> tuple[float, ...]:
     """Absolute accelerations theta'' [rad/s2] without disturbance, eq. (1) solved for them.
 
-    Absolute angles and rates are in rad and rad/s, generalised torques Q in N m.
+    Absolute rates are in rad/s, generalised torques Q in N m.
     """
     friction_1, friction_2 = friction(rate, torque, params)
-    rest_1, rest_2 = rigid_torque(theta, rate, (0.0, 0.0), params)
+    rest_1, rest_2 = rigid_torque(pose, rate, (0.0, 0.0), params)
     force_1, force_2 = torque[0] - friction_1 - rest_1, torque[1] - friction_2 - rest_2
-    return solve_inertia(coupling(theta, params), force_1, force_2, params)
+    return solve_inertia(coupling(pose, params), force_1, force_2, params)

@@ -21,14 +21,21 @@ The position measurement enters only f^, undelayed, so that no fault of a positi
 its shape, reaches the state estimate.
 """
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
 
 from lpv.core.support.entries import array, entry, positive
 from lpv.core.support.jit import njit_in_place as njit
-from lpv.core.uio.model.dynamics import Pair, acceleration, coupling, solve_inertia
+from lpv.core.uio.model.dynamics import (
+    COSINE,
+    SINE,
+    Pair,
+    acceleration,
+    coupling,
+    set_pose,
+    solve_inertia,
+)
 from lpv.core.uio.model.joints import row_dot
 
 
@@ -48,11 +55,11 @@ class ExactObserverGains:
 
 @njit
 def injection(
-    theta: Pair, v: Pair, r: Pair, mu: np.ndarray, arm: np.record
+    pose: np.ndarray, v: Pair, r: Pair, mu: np.ndarray, arm: np.record
 ) -> tuple[float, float, float, float]:
     """Xi(theta^) r and Xi^-1 (mu Xi + Xi'(v)) r."""
-    off = coupling(theta, arm)
-    turning = -arm.coupling * math.sin(theta[0] - theta[1]) * (v[0] - v[1])  # Xi12'
+    off = coupling(pose, arm)
+    turning = -arm.coupling * pose[SINE, 2] * (v[0] - v[1])  # Xi12'
     p_1, p_2 = arm.inertia[0] * r[0] + off * r[1], off * r[0] + arm.inertia[1] * r[1]
     c_1, c_2 = mu[0] * p_1 + turning * r[1], mu[1] * p_2 + turning * r[0]
     k_1, k_2 = solve_inertia(off, c_1, c_2, arm)
@@ -68,13 +75,15 @@ def exact_rate(params: np.record, state: np.record, y: np.ndarray, end: int) -> 
     the configuration carries no information there.
     """
     x, rate, model, angle = state.x, state.rate[end], state.model[end], params.joints.angle
+    pose = state.pose
+    set_pose(pose, x)
     if end == 0:
         for link in range(2):
-            state.held[link] = params.sign * math.cos(x[link]) < params.cos_min[link]
+            state.held[link] = params.sign * pose[COSINE, link] < params.cos_min[link]
     v = row_dot(angle, 0, y[2], y[3]), row_dot(angle, 1, y[2], y[3])
-    p_1, p_2, k_1, k_2 = injection(x, v, (x[2] - v[0], x[3] - v[1]), params.mu, params.arm)
+    p_1, p_2, k_1, k_2 = injection(pose, v, (x[2] - v[0], x[3] - v[1]), params.mu, params.arm)
     # Measured rates feed friction and Coriolis terms: no fault in them.
-    model[0], model[1] = acceleration(x, v, state.torque, params.arm)
+    model[0], model[1] = acceleration(pose, v, state.torque, params.arm)
     rate[0] = v[0] - (0.0 if state.held[0] else params.kappa[0]) * p_1
     rate[1] = v[1] - (0.0 if state.held[1] else params.kappa[1]) * p_2
     rate[2], rate[3] = model[0] - k_1, model[1] - k_2

@@ -14,7 +14,7 @@ from lpv.core.support.jit import njit_in_place as njit
 from lpv.core.support.limits import MAX_GAP, SMALL
 from lpv.core.support.records import new_record, record_type
 from lpv.core.support.timestamps import NANOSECONDS, NEVER
-from lpv.core.uio.model.dynamics import acceleration
+from lpv.core.uio.model.dynamics import acceleration, set_pose
 from lpv.core.uio.model.joints import JOINT_MAP, JointMap, copy_vector, row_dot
 from lpv.core.uio.observer.exact_observer import ExactObserverGains, exact_rate
 from lpv.core.uio.observer.paper_observer import PaperObserverGains, observer_matrices, paper_rate
@@ -68,6 +68,7 @@ OBSERVER_CONSTANTS = record_type(
 )
 OBSERVER_STATE = record_type(
     ('x', 'f8', (6,)),  # x^ = (theta^, theta^', f^): absolute angles, physical sensors [rad]
+    ('pose', 'f8', (2, 3)),  # of theta^, as of `set_pose`
     ('held', 'u1', (2,)),  # links without gravity information: dead reckoning
     # largest change of theta'' within a step of the interval, of method exact [rad/s2]
     ('bend', 'f8', (2,)),
@@ -87,7 +88,7 @@ OBSERVER_STATE = record_type(
     ('y_new', 'f8', (4,)),  # of this sample
     ('after', 'f8', (4,)),  # at the end of a part of the interval
     ('torque', 'f8', (2,)),  # generalised torques Q over the interval [N m]
-    # What is said of this sample, beside x, v_new, held and bend:
+    # What is said of this sample, beside x, pose, v_new, held and bend:
     ('interval', 'f8'),  # since the previous estimate [s]
     ('mode', 'u1'),  # of `Mode`
     ('position', 'f8', (2,)),  # estimated, ROS joint coordinates [rad]
@@ -222,6 +223,9 @@ def _is_unsupported(params: np.record, state: np.record) -> bool:
     """Whether the arm rests although the measured torques do not hold it."""
     # The torque of brakes is often not measured: zero at rest would mean that links are vertical.
     x, y, arm = state.x, state.y_new, params.arm
+    if not _is_at_rest(params, y):
+        state.unsupported = 0
+        return False
     needed = beyond = measured = 0.0
     for i in range(2):
         gravity = abs(arm.gravity[i] * math.sin(x[i]))
@@ -229,7 +233,7 @@ def _is_unsupported(params: np.record, state: np.record) -> bool:
         tolerated = params.torque_tolerance[i] + SMALL * arm.gravity[i]
         beyond = max(beyond, gravity - tolerated)
         measured = max(measured, abs(state.torque[i]))
-    if _is_at_rest(params, y) and beyond > 0.0 and measured <= _SUPPORTED * needed:
+    if beyond > 0.0 and measured <= _SUPPORTED * needed:
         state.unsupported += 1
     else:
         state.unsupported = 0
@@ -328,5 +332,6 @@ def _fill(params: np.record, state: np.record) -> None:
         state.velocity[i] = row_dot(joints.j, i, x[2], x[3])
         state.innovation[i] = x[2 + i] - rate[i]
     state.position[0] -= joints.zero
-    acc = acceleration(x, rate, state.torque, params.arm)
+    set_pose(state.pose, x)
+    acc = acceleration(state.pose, rate, state.torque, params.arm)
     state.acceleration[0], state.acceleration[1] = acc
