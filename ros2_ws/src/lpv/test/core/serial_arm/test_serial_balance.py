@@ -169,6 +169,12 @@ def test_factor_solves_and_whitens():
     assert columns[:, 0] @ columns[:, 0] == pytest.approx(rows[0] @ expected)
 
 
+@pytest.mark.parametrize('count', [1, 2, 10, 201])
+def test_given_values_when_one_is_selected_then_it_is_that_of_the_sorted_ones(count):
+    values = np.random.default_rng(count).normal(size=count).round(1)  # some are equal
+    assert [info.select(values, k) for k in range(count)] == sorted(values)
+
+
 def test_reversals_are_told(blocks):
     balance = new_balance(CHAIN)
     own, rows = blocks[: 2 * PER_INTERVAL].copy(), np.empty((1, *balance.hat.rows.shape))

@@ -104,7 +104,7 @@ def weigh_residuals(window: Window, null: Posterior, last: int) -> None:
             size = usual_size(window, null, back, i)
             ratio = null.residual[back, i] / (ROBUST * size)
             size = np.sqrt(size * size + window.extra[slot(window, back), i])
-            null.residual[back, i] *= null.noise[i] / (size * (1.0 + ratio * ratio) ** 0.25)
+            null.residual[back, i] *= null.noise[i] / (size * np.sqrt(np.sqrt(1.0 + ratio * ratio)))
 
 
 @njit_in_place
@@ -153,16 +153,17 @@ def _set_filters(contact: Contact, i: int) -> None:
     for c in range(contact.costs.shape[0]):
         torque = AMPLITUDES[c] * contact.torque[i] * contact.interval
         usual = power = torque * torque
-        cost, step, before = ROUGH_PENALTY, 0.0, 0.0
+        before = gain = share = step = 0.0
+        cost = ROUGH_PENALTY
         for k in range(longest):
-            total = power + variance
             if power != before:  # it soon stays the same
-                step, before = 0.5 * np.log1p(power / variance), power
+                before, total = power, power + variance
+                gain, share = contact.decay * power / total, 0.5 / total
+                step = 0.5 * np.log1p(power / variance)
+                power = usual + kept * (power * variance / total - usual)
             cost += step
-            contact.filters[c, i, k, 0] = contact.decay * power / total
-            contact.filters[c, i, k, 1] = 0.5 / total
+            contact.filters[c, i, k, 0], contact.filters[c, i, k, 1] = gain, share
             contact.costs[c, i, k] = cost
-            power = usual + kept * (power * variance / total - usual)
 
 
 def joint_levers(torque: FloatArray, last: int) -> FloatArray:

@@ -41,9 +41,9 @@ from lpv.core.serial_arm.diagnosis.information import (
     move_drifts,
     new_window,
     recent,
+    select,
     slot,
     solve_factorised,
-    sort,
     whiten,
 )
 from lpv.core.serial_arm.diagnosis.parameter_error import (
@@ -350,10 +350,14 @@ def _learn_all(horizon: Horizon, lasting: float) -> None:
     set_residuals(window, null, count)
     learn_noise(window, null)
     _copy_noise(null, horizon.level, lasting)
+    some = False
     for back in range(count):
         for i in range(null.noise.shape[0]):
-            null.residual[back, i] += window.explained[slot(window, back), i]
-    learn_noise(window, null)
+            explained = window.explained[slot(window, back), i]
+            null.residual[back, i] += explained
+            some = some or explained != 0.0
+    if some:
+        learn_noise(window, null)
 
 
 @njit_in_place
@@ -426,13 +430,12 @@ def _share(count: int) -> float:
 
 @njit_in_place
 def _learned_size(sizes: FloatArray, expected: float) -> float:
-    """Usual size of residuals, from their absolute values, which are sorted."""
+    """Usual size of residuals, from their absolute values, whose order is changed."""
     count = len(sizes)
     if count < _FEW:
         return expected
-    sort(sizes)
-    median = 0.5 * (sizes[(count - 1) // 2] + sizes[count // 2])
-    size, share = 1.4826 * median, _share(count)  # of normal ones: 1 / Phi^-1(3/4)
+    middle = 0.5 * (select(sizes, (count - 1) // 2) + select(sizes, count // 2))
+    size, share = 1.4826 * middle, _share(count)  # of normal ones: 1 / Phi^-1(3/4)
     return float(np.sqrt((1.0 - share) * expected * expected + share * size * size))
 
 
