@@ -81,7 +81,7 @@ def uio_step(
         _start_again(state)
         return
     state.valid = True
-    if not (observer.held[0] or observer.held[1]):
+    if state.left > 0.0 and not (observer.held[0] or observer.held[1]):
         state.left *= math.exp(-params.bound.decay * observer.interval)
     update_bound(params.bound, state.bound, observer)
 

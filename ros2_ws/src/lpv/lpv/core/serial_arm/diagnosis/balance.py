@@ -212,11 +212,11 @@ def _add_fault_columns(
         if share[j] != 0.0:
             row = chain.friction[j]
             slip = min(row[SLOPE], _STEEPEST / balance.scale[j])
-            dry = row[1] + row[2] * abs(torque[j])
-            bend = (
-                smooth_sign(rate[j] + 0.5 / slip, slip) - smooth_sign(rate[j] - 0.5 / slip, slip)
-            ) * slip
-            force_v += share[j] * (row[0] + dry * bend)
+            bend = dry = row[1] + row[2] * abs(torque[j])
+            if dry != 0.0:
+                before = smooth_sign(rate[j] - 0.5 / slip, slip)
+                bend *= (smooth_sign(rate[j] + 0.5 / slip, slip) - before) * slip
+            force_v += share[j] * (row[0] + bend)
         put(balance.hat, 1 + OFFSET * n + i, j, (p_f, force_f), weight)
         put(balance.hat, 1 + RATE * n + i, j, (p_v, force_v), weight)
         drift = (time * p_f + derived * p_v, time * force_f + derived * force_v)

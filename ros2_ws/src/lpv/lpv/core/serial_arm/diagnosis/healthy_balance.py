@@ -142,7 +142,9 @@ def _add_block(
         missed = tolerated(sizes.tolerance[i], slowest, fastest)
         own = sizes.viscous[i] * abs(v[i]) + sizes.coulomb[i] * abs(sign) + sizes.offset[i]
         product = _loaded_twice(row, sizes.load[i], (left, sign, acts), own + missed)
-        uneven = _within(v[i], half, slope) * (dry + sizes.coulomb[i] + sizes.load[i] * load)
+        uneven = dry + sizes.coulomb[i] + sizes.load[i] * load
+        if uneven != 0.0:
+            uneven *= _within(v[i], half, slope)
         if slowest == 0.0:  # it may rest, friction may be anything
             share = row[LOAD] + sizes.load[i]
             most = row[COULOMB] + sizes.coulomb[i] + share * abs(torque[i])

@@ -170,12 +170,11 @@ def _follow_set(params: np.record, state: np.record, observer: np.record) -> Non
             _advance(params, state, observer.interval)
     extent(state.columns, state.used, state.extent)
     _cut(params, state)
-    fall = math.exp(-observer.interval * params.slowest_recovery)
     for i in range(2):
         if observer.held[i]:
             state.held_for[i] += observer.interval
-        else:
-            state.held_for[i] *= fall
+        elif state.held_for[i] > 0.0:
+            state.held_for[i] *= math.exp(-observer.interval * params.slowest_recovery)
 
 
 @njit
