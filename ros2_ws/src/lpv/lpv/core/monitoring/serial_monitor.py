@@ -576,14 +576,18 @@ class SerialSensorMonitor:
         since, used, balances, counted = self._before
         if since != NEVER and stamp - since < _REPORT_INTERVAL:
             return
-        self._before = stamp, self._used, self.decisions, replace(self.counters)
+        is_new = self.counters != counted
+        kept = replace(self.counters) if is_new else counted
+        self._before = stamp, self._used, self.decisions, kept
         if since == NEVER:
+            return
+        self._losses = ''
+        if not is_new:
             return
         new = {name: count - getattr(counted, name) for name, count in vars(self.counters).items()}
         unused = SampleCounters(**{name: new[name] for name in UNUSED})
         total = sum(vars(unused).values())
         due = (stamp - since) / NANOSECONDS / self._monitor.plan.interval
-        self._losses = ''
         if total > _MANY * (total + self._used - used):
             texts = '; '.join(count_texts(unused))
             self._losses = _UNUSED.format(total + self._used - used, texts)
@@ -594,9 +598,14 @@ class SerialSensorMonitor:
     def _report(self, answers: Answers, row: int) -> None:
         self._monitor.progress['next_report'] = int(answers.stamps[row]) + _REPORT_INTERVAL
         self._note_losses(int(answers.stamps[row]))
-        answer = answers.state[row], answers.fault[row] if answers.has_fault[row] else None
-        answers.reports.append((row, self._status(*answer)))
-        answers.warnings += [(row, text) for text in self._new_warnings(answer[0])]
+        state, fault = answers.state[row], answers.fault[row] if answers.has_fault[row] else None
+        note = self._remark(state)
+        said = note if state['mode'] < Mode.STALE else unusable_text(self.counters)
+        answers.reports.append((row, self._status(state, fault, said)))
+        subject = note.partition(';')[0]
+        if note and subject not in self._warned:  # whatever its details
+            answers.warnings.append((row, note))
+        self._warned.add(subject)
 
     def stale_fault(self) -> np.record | None:
         """The last ``fault`` of an answer, if there is one, marked as such."""
@@ -612,14 +621,12 @@ class SerialSensorMonitor:
         last.state.mode = mode
         if mode == Mode.STALE:
             last.fault.state = SensorState.STALE
-        return self._status(last.state[0], last.fault[0] if last.has_fault[0] else None, note)
-
-    def _status(
-        self, state: np.record, fault: np.record | None, note: str | None = None
-    ) -> list[dict[str, Any]]:
+        state, fault = last.state[0], last.fault[0] if last.has_fault[0] else None
         if note is None:
-            is_used = state.mode < Mode.STALE
-            note = self._remark(state) if is_used else unusable_text(self.counters)
+            note = self._remark(state) if mode < Mode.STALE else unusable_text(self.counters)
+        return self._status(state, fault, note)
+
+    def _status(self, state: np.record, fault: np.record | None, note: str) -> list[dict[str, Any]]:
         values = {
             **vars(self.counters),
             'rejected messages': self.rejected,
@@ -660,11 +667,3 @@ class SerialSensorMonitor:
             return MISFIT
         wrong = ', '.join(monitor.misnamed)
         return _MISNAMED.format(wrong) if wrong else ''
-
-    def _new_warnings(self, state: np.record) -> list[str]:
-        """What was not warned of before, whatever its details."""
-        note = self._remark(state)
-        subject = note.partition(';')[0]
-        new = [note] if note and subject not in self._warned else []
-        self._warned.add(subject)
-        return new

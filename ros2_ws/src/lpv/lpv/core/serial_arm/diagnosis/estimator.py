@@ -6,6 +6,7 @@ last seconds determine all of them together by least squares around the last est
 that has moved, the horizon is linearised again.
 """
 
+import math
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import NamedTuple
@@ -530,8 +531,8 @@ class OffsetEstimator:
         null, n = self.posterior, self.joints
         unknowns = null.mean[n:] ** 2 * null.least[n:]
         # Of m of them the largest square is about 2 log(m) by chance.
-        largest = max(unknowns.max() - 2.0 * np.log(len(unknowns)), 0.0)
-        return float(max(np.sqrt(largest), (null.noise / null.expected).max()))
+        largest = max(float(unknowns.max()) - 2.0 * math.log(len(unknowns)), 0.0)
+        return max(math.sqrt(largest), float((null.noise / null.expected).max()))
 
     def left_over(self, last: int) -> tuple[FloatArray, FloatArray]:
         """What the estimate leaves of the last balances, newest first, and its usual size."""

@@ -224,7 +224,7 @@ class HealthySet:
         wanted = np.vstack([np.eye(m)[:n], self._load])
         gain = wanted @ inverse @ inverse.T
         places = recent(window, last)[::-1]
-        weighted = window.weights[places][:, :, None] * window.rows[places][:, :, -m:]
+        weighted = window.weights[places][:, :, None] * window.rows[places, :, -m:]
         map_ = -(weighted.reshape(-1, m) @ gain.T).T.reshape(n + 1, last, n)
         # What late efforts do not show yet may be anything: these balances count as they are.
         seen = places[: max(last - self.ring.unseen, 0)]
@@ -233,12 +233,12 @@ class HealthySet:
         response = map_.reshape(n + 1, -1) @ self.ring.effects[places].reshape(last * n, -1)
         remembered = from_past @ self.ring.right
         response += remembered[:, :-1]
-        products = np.einsum('bi,bia->a', window.weights[seen], self.ring.products[seen])
+        products = window.weights[seen].ravel() @ self.ring.products[seen].reshape(-1, m)
         mean = remembered[:, -1] - gain @ products
-        slack = np.einsum('fbi,bi->f', np.abs(map_), self.ring.doubts[places, ::2].sum(1))
+        doubts = self.ring.doubts[places]
+        slack = np.abs(map_).reshape(n + 1, -1) @ (doubts[:, 0] + doubts[:, 2]).ravel()
         # For right sides A^T W e of the past: (d A^T W e)^2 <= (d A^T W A d)(e^T W e).
-        size = np.einsum('fa,ab,fb->f', gain[:, n:], null.recalled[1 + n :, n:], gain[:, n:])
-        size = np.maximum(size, 0.0)
+        size = np.maximum((gain[:, n:] @ null.recalled[1 + n :, n:] * gain[:, n:]).sum(1), 0.0)
         slack += np.sqrt(size * self.ring.past[SLACK])
         share = gain[:, :n] * null.least[:n]
         # Offsets of the other sensors, as far as the map is linear.
@@ -271,12 +271,15 @@ class HealthySet:
 
     def _noise(self, map_: FloatArray, places: IntArray) -> FloatArray:
         """Variance of the estimates by noise of readings and rates in the horizon."""
-        total = np.einsum('fbi,bi->f', map_**2, self.ring.doubts[places, 1])
-        moved = np.einsum('fbi,bij->fbj', map_, self._estimator.window.momenta[places])
-        once = np.diff(moved, axis=1, prepend=0.0, append=0.0)
-        twice = np.diff(once, axis=1, prepend=0.0, append=0.0)
-        total += ((once * ~self._derived * self.ring.mean_noise) ** 2).sum((1, 2))
-        return np.asarray(total + ((twice * self._derived * self.ring.mean_noise) ** 2).sum((1, 2)))
+        rows, last, n = map_.shape
+        total = (map_**2).reshape(rows, -1) @ self.ring.doubts[places, 1].ravel()
+        moved, variance = np.zeros((rows, last + 4, n)), self.ring.mean_noise**2
+        for i in range(n):
+            moved[:, 2:-2] += map_[:, :, i, None] * self._estimator.window.momenta[places, i]
+        once = moved[:, 1:] - moved[:, :-1]
+        twice = once[:, 1:] - once[:, :-1]
+        total += (once**2).sum(1) @ (variance * ~self._derived)
+        return np.asarray(total + (twice**2).sum(1) @ (variance * self._derived))
 
 
 def _eliminated(past: FloatArray, null: Posterior) -> FloatArray:
