@@ -4,12 +4,20 @@ import numpy as np
 import pytest
 
 from lpv.core.control import watchdog
-from lpv.core.control.estimate_check import IMPOSSIBLE, NOT_FINITE, ROWS, check_values
+from lpv.core.control.estimate_check import (
+    IMPOSSIBLE,
+    NOT_FINITE,
+    ROWS,
+    check_values,
+    limit_correction,
+)
 from lpv.core.control.tracking import loop_latency
 from lpv.core.control.watchdog import BrakeReason, StopReason
 from lpv.core.monitoring.serial_monitor import SerialSensorMonitor
 from lpv.core.serial_arm.diagnosis.alarms import Mode
+from lpv.core.simulation import precompile
 from lpv.core.simulation.transport import PARTS, Stall, Transport
+from lpv.core.support.jit import Entries
 
 pytestmark = pytest.mark.slow
 MS = 1_000_000
@@ -64,6 +72,21 @@ def test_given_a_joint_without_end_when_it_has_turned_far_then_its_estimate_can_
     assert check_values(values) == IMPOSSIBLE
     values[3, 0] = np.nan
     assert check_values(values) == NOT_FINITE
+
+
+def test_given_what_a_tracker_checks_in_estimates_when_compiled_ahead_then_it_is(
+    paper_arm, paper_gains, monkeypatch
+):
+    call, called = Entries.__call__, list[object]()
+
+    def noted(self, function, *arguments):
+        called.append(function)
+        return call(self, function, *arguments)
+
+    monkeypatch.setattr(Entries, '__call__', noted)
+    monkeypatch.setattr(precompile, 'check_values', lambda values: called.append(values.shape))
+    precompile._run_loop(paper_arm, 'two_faults', paper_gains)
+    assert limit_correction in called and (len(ROWS), 2) in called
 
 
 def test_given_stamps_ahead_of_the_clock_when_that_is_set_then_a_late_mean_is_seen_as_soon(tracker):

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from lpv.core.control.estimate_check import ROWS, CorrectionLimit, check_values
 from lpv.core.control.tracking import TrackingController
 from lpv.core.control.watchdog import DriveWatchdog, TrackerLimits, TrackerWatchdog
 from lpv.core.monitoring.serial_monitor import SerialSensorMonitor
@@ -47,6 +48,8 @@ def _run_loop(arm: SerialArm, scenario_name: str, gains: Gains | None) -> None:
     watchdog = TrackerWatchdog(arm, TrackerLimits())
     watchdog.check_estimate(1, 0, 0, True, still, still)
     watchdog.check_motion(1, still, still, still)
+    check_values(np.zeros((len(ROWS), len(still))))
+    CorrectionLimit(arm).take(1, still, still)
     DriveWatchdog(arm).check(1, 0, True, still)
 
 
