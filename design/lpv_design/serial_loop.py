@@ -30,6 +30,7 @@ from lpv.core.serial_arm.certificate.model_bounds import (
     twists_of,
 )
 from lpv.core.serial_arm.description import SerialArm
+from lpv.core.serial_arm.dynamics.aligned_axes import aligned_axes
 from lpv.core.support.config import Section
 from lpv.core.support.entries import entry, read_entries
 from lpv.core.support.inequalities import largest_eigenvalue
@@ -73,6 +74,8 @@ def certify_loop(arm: SerialArm, request: LoopRequest) -> tuple[LoopGains, list[
     read_entries(LoopRequest, Section(vars(request), ''))
     if len(arm.joints) < 2:
         raise InfeasibleError('the certificate is for arms of 2 joints or more')
+    if aligned := aligned_axes(arm):
+        raise InfeasibleError(aligned)
     if loop_latency(arm, bandwidth=request.bandwidth) < arm.sample_time:
         raise InfeasibleError(
             f'bandwidth: {request.bandwidth:g} rad/s is unstable at {arm.sample_time:g} s a sample'

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from planar_formulas import weights
 from scipy.linalg import solve_continuous_are, solve_continuous_lyapunov, solve_discrete_lyapunov
+from serial_bags import ball_joint
 
 from lpv import ConfigError, load_arm
 from lpv.core.serial_arm.certificate.loop_inequality import LoopNumbers, motion_matrix
@@ -398,6 +399,11 @@ def test_given_no_inertia_left_when_bounded_then_the_joint_is_named(short, monke
     )
     with pytest.raises(InfeasibleError, match='for elbow_joint: state its rotor_inertia'):
         serial_loop.model_bounds(short)
+
+
+def test_given_joints_with_nothing_between_them_when_designed_then_they_are_named():
+    with pytest.raises(InfeasibleError, match='joints a, c turn .* their rotor_inertia'):
+        serial_loop.certify_loop(ball_joint(), serial_loop.LoopRequest())
 
 
 def test_given_a_serial_arm_when_verified_or_designed_then_all_is_told(call, refused, tmp_path):

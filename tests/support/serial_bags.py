@@ -1,4 +1,4 @@
-"""A serial arm of three joints, and recordings of it."""
+"""Serial arms of three joints, and of a ball joint, and recordings of it."""
 
 from dataclasses import replace
 
@@ -8,7 +8,7 @@ from fault_injection import shoulder_arm
 from simulated_runs import simulated_run
 
 from lpv.core.serial_arm.arm_file import save_arm
-from lpv.core.serial_arm.description import Uncertainty
+from lpv.core.serial_arm.description import LinkInertia, Uncertainty
 
 TOPIC = '/lpv/joint_states'
 
@@ -16,6 +16,21 @@ TOPIC = '/lpv/joint_states'
 def crane():
     """A turning base, shoulder and elbow; encoders with rates that are derived from them."""
     return replace(shoulder_arm(), name='crane', uncertainty=Uncertainty())
+
+
+def ball_joint():
+    """Three joints that meet in one point, two of whose links stand for nothing, and a fourth."""
+    nothing = LinkInertia.from_vector(1e-3 * crane().joints[2].link.to_vector())
+    turns = [(0.0, 0.0, 0.0), (np.pi / 2, 0.0, 0.0), (-np.pi / 2, 0.0, 0.0), (np.pi / 2, 0.0, 0.0)]
+    of = [crane().joints[i] for i in (0, 1, 1, 2)]
+    joints = [
+        replace(joint, name=name, orientation=turned, rotor_inertia=0.0,
+                position=joint.position if name == 'd' else (0.0, 0.0, 0.0),
+                link=nothing if name in 'ab' else joint.link,
+                sensors=replace(joint.sensors, name=name))
+        for joint, turned, name in zip(of, turns, 'abcd')
+    ]  # fmt: skip
+    return replace(crane(), name='ball', joints=tuple(joints), sensor_matrix=None)
 
 
 def crane_file(folder):

@@ -15,6 +15,7 @@ import pytest
 from fault_injection import with_joints
 from places import BRINGUP, DATA, ROOT
 from rich.console import Console
+from serial_bags import ball_joint
 
 from lpv import Fault, load_arm, load_scenario, save_gains
 from lpv.bag.replay.replay import InjectedFault
@@ -250,6 +251,12 @@ def test_given_an_odd_urdf_when_initialised_then_it_is_warned(tmp_path, call, ch
     )
     err = call('init', tmp_path / 'new', '--urdf', tmp_path / 'arm.urdf', *HELD).err
     assert re.search(told, err) and err.count('warning') == 1
+
+
+def test_given_links_without_mass_between_joints_when_initialised_then_it_is_told(tmp_path, call):
+    (tmp_path / 'arm.urdf').write_text(arm_urdf(ball_joint()))
+    err = call('init', tmp_path / 'new', '--urdf', tmp_path / 'arm.urdf').err
+    assert 'warning: joints a, c turn the same body in some poses' in err
 
 
 @pytest.mark.parametrize('zero', [None, 0.0, np.pi / 3, np.pi])

@@ -15,7 +15,7 @@ from places import BRINGUP, ROOT
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.time import Time
 from sensor_msgs.msg import JointState
-from serial_bags import crane, crane_file
+from serial_bags import ball_joint, crane, crane_file
 from simulated_runs import simulated_run
 from std_msgs.msg import Header
 
@@ -57,6 +57,8 @@ def files(paper_gains, tmp_path_factory):
     """A folder with a serial arm, and with files that cannot be used."""
     folder = tmp_path_factory.mktemp('files')
     crane_file(folder)
+    save_arm(ball_joint(), folder / 'ball.yaml')
+    save_arm(replace(crane(), name='one', joints=crane().joints[1:2]), folder / 'one.yaml')
     ur10 = load_arm(BRINGUP / 'arms' / 'ur10.yaml')
     for name, (number, changes) in {
         'sliding': (5, {'type': 'prismatic'}),
@@ -89,10 +91,12 @@ def files(paper_gains, tmp_path_factory):
     ('', 'paper', None, None, 'observes alone; lpv design designs them'),
     ('', './crane.yaml', None, None, 'the moving horizon observes alone'),
     ('', './sliding.yaml', None, None, 'slide have no certificate'),
+    ('', './one.yaml', None, None, 'one joint have no certificate'),
     ('', 'ur10', UR10_GAINS, None, "loop of arm 'ur10' holds"),
     ('', 'panda', PANDA_GAINS, None, "loop of arm 'panda' holds"),
     ('arm', './light.yaml', None, None, r'joints\[0\].link.mass'),
     ('arm', './centred.yaml', None, None, ' the link of shoulder_lift_joint give first moments'),
+    ('arm', './ball.yaml', None, None, 'joints a, c turn the same body.* state their rotor'),
     ('arm', './braked.yaml', None, 'ur10', r'joints\[5\].rotor_inertia.*arm-file'),
     ('gains', 'real_arm', GAINS, None, "another arm.*'paper'.*'real_arm'.*--arm real_arm"),
     ('gains', 'paper', './changed.yaml', None, 'does not hold: observer, link 1'),
@@ -113,7 +117,7 @@ def test_given_files_then_misfits_are_said(files, monkeypatch, check, arm, gains
     assert (model is None) == (arm == './light.yaml')
     if check:
         (finding,) = bad(findings)
-        level = Level.WARN if arm == './centred.yaml' else Level.ERROR
+        level = Level.WARN if arm in ('./centred.yaml', './ball.yaml') else Level.ERROR
         assert (finding.check, finding.level) == (check, level)
     else:
         _, finding, *_ = findings

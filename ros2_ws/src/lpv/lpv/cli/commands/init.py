@@ -18,6 +18,7 @@ from lpv.cli.arm_choice import chosen_arm
 from lpv.core.serial_arm.arm_file import load_arm, parse_arm, save_arm, to_mapping
 from lpv.core.serial_arm.chain import compile_chain
 from lpv.core.serial_arm.description import LpvRegion, SerialArm
+from lpv.core.serial_arm.dynamics.aligned_axes import aligned_axes
 from lpv.core.serial_arm.dynamics.model import SerialModel
 from lpv.core.serial_arm.simulation import integration_step
 from lpv.core.simulation.scenario import parse_scenario
@@ -91,6 +92,8 @@ def _write(folder: Path, arm: SerialArm, source: str) -> int:
         integration_step(compile_chain(arm), arm.sample_time)
     except ConfigError as error:
         print(f'warning: before it is simulated: {error}', file=sys.stderr)
+    if aligned := aligned_axes(arm):
+        print(f'warning: {aligned}', file=sys.stderr)
     if arm.locked:
         print('held: ' + ', '.join(f'{joint} at {value:g}' for joint, value in arm.locked))
     print('next: a URDF knows no rotors and sensors; identify them from a recording of a motion')

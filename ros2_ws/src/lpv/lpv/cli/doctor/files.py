@@ -6,6 +6,7 @@ from lpv.cli.doctor.finding import Finding, error, ok, warn
 from lpv.core.monitoring.serial_monitor import SerialSensorMonitor
 from lpv.core.serial_arm.arm_file import load_arm
 from lpv.core.serial_arm.description import SerialArm
+from lpv.core.serial_arm.dynamics.aligned_axes import aligned_axes
 from lpv.core.simulation.arm_simulator import ArmSimulator
 from lpv.core.simulation.scenario import load_scenario
 from lpv.core.support.errors import ConfigError, LpvError
@@ -27,6 +28,8 @@ def check_files(
         offer = f'lpv design {what}'
         if any(joint.is_prismatic for joint in arm.joints):
             offer = 'loops of joints that slide have no certificate'
+        elif len(arm.joints) < 2:
+            offer = 'loops of one joint have no certificate'
         findings.append(ok('gains', f'none given: the moving horizon observes alone; {offer}'))
     if scenario_name:
         findings.append(check_scenario(scenario_name, arm))
@@ -44,6 +47,9 @@ def check_arm(name: str) -> tuple[SerialArm | None, Finding]:
     if odd := [joint.name for joint in arm.joints if not joint.link.is_physical]:
         text = f'{arm.name!r}: no body has the inertia of the link of {", ".join(odd)}'
         return arm, warn('arm', text, 'give first moments and inertia about the joint frame')
+    if aligned := aligned_axes(arm):
+        what, _, remedy = aligned.partition('; ')
+        return arm, warn('arm', f'{arm.name!r}: {what}', remedy)
     return arm, ok('arm', f'{arm.name!r}, joints {", ".join(arm.joint_names)}')
 
 
