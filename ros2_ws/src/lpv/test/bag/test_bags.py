@@ -9,9 +9,12 @@ from unittest.mock import Mock
 import numpy as np
 import pytest
 import yaml
+import zstandard
 from bag_messages import CHATTER, JOINT_STATE, JOINTS, START, STEP, STRING, TYPESTORE, cdr, text
 from bags import KINDS, TOPICS, contents, storage, write_by_mcap, write_by_rosbags, write_small
 from mcap.reader import make_reader
+from mcap.records import Chunk
+from mcap.stream_reader import StreamReader
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import CompressionMode, StoragePlugin
 
@@ -24,7 +27,7 @@ from lpv.bag.rosbag.interfaces import message_text, padded_cdr, standard_types
 from lpv.bag.rosbag.messages import BagMessages
 from lpv.bag.rosbag.metadata import RECORD_NAME
 from lpv.bag.rosbag.reading import BagReader, open_bag
-from lpv.bag.rosbag.writing import BagWriter
+from lpv.bag.rosbag.writing import PRESETS, BagWriter
 from lpv.bag.run import decoder
 from lpv.bag.run.record import ALARM_TYPE, SCALARS, STREAMS, load_run
 from lpv.core.monitoring.message_fields import alarm_fields
@@ -259,6 +262,19 @@ def test_given_chunks_when_written_then_others_read_what_was_written_one_by_one(
         said = reader.get_summary().statistics
     assert stamps == times.tolist() and said.message_count == 503
     assert (said.message_start_time, said.message_end_time) == (times[0], times[-1])
+
+
+@pytest.mark.parametrize('preset', ['zstd_fast', 'zstd_small'])
+def test_given_a_preset_when_chunks_are_compressed_then_at_its_level(tmp_path, preset):
+    with BagWriter(tmp_path / 'bag', preset) as writer:
+        writer.add_topic(CHATTER, TOPICS[CHATTER])
+        writer.write_raw(CHATTER, 1, text(''.join(map(str, range(5000)))))
+    with open(storage(tmp_path / 'bag'), 'rb') as stream:
+        records = StreamReader(stream, emit_chunks=True).records
+        (chunk,) = (one for one in records if isinstance(one, Chunk))
+    content = zstandard.decompress(chunk.data)
+    at = {name: zstandard.compress(content, PRESETS[name][2]) for name in PRESETS}
+    assert chunk.data == at[preset] and at['zstd_fast'] != at['zstd_small']
 
 
 def test_given_one_byte_that_differs_when_matched_then_only_numbers_and_padding_may():
