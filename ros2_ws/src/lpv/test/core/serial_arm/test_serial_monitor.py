@@ -218,6 +218,18 @@ def test_given_a_joint_that_stops_dead_then_its_reading_does_not_jump_but_by_mor
         assert not np.isin(found, (SPIKE, HIDDEN, NOISY)).any()
 
 
+@pytest.mark.parametrize('growth', [15.0, 25.0])
+def test_given_a_joint_that_begins_to_shake_then_its_reading_does_not_jump_but_by_more(growth):
+    period, rng = 0.002, np.random.default_rng(0)
+    time = period * np.arange(1, 301)
+    shaken = 8e-3 * np.clip(growth * (time - 0.4), 0.0, 1.0) * np.sin(2.0 * np.pi * 90.0 * time)
+    for step in (0.0, 0.1):
+        readings = np.stack([shaken + step * (time > 0.55), 5.0 * time], axis=1)
+        readings += 2e-5 * rng.standard_normal(readings.shape)
+        _, found = sampled(time, readings, period, 5e-3)
+        assert (found == STEP).sum() == (step > 0.0)
+
+
 def test_two_steps_at_once_are_both_named():
     faults = Fault('encoder2', 'bias', 2.0, size=0.02), Fault('encoder3', 'bias', 2.0, size=-0.02)
     assert named(watched(shoulder_arm(), *faults, duration=2.5)) == {'encoder2', 'encoder3'}

@@ -231,7 +231,7 @@ def _is_clear_step(sampler: Sampler, i: int) -> bool:
     if sampler.doubtful[k, i] > 0 or sampler.doubtful[k - 1, i] > 0:
         return False
     # The e before a step is half as large where the rate is derived.
-    if abs(jump) <= max(smallest_jump(sampler, i), abs(sampler.jumps[k - 1, i]) / (2.0 * LEFT)):
+    if abs(jump) <= max(smallest_jump(sampler, i), _loudest(sampler, i, 0, k) / (2.0 * LEFT)):
         return False
     way = samples[k + 1, 0, i] - samples[k - 1, 0, i] - jump
     period = sampler.time[k + 1] - sampler.time[k - 1]
@@ -241,19 +241,26 @@ def _is_clear_step(sampler: Sampler, i: int) -> bool:
 
 
 @njit_in_place
+def _loudest(sampler: Sampler, i: int, begin: int, end: int) -> float:
+    """Largest e of some samples [rad]."""
+    largest = 0.0
+    for k in range(begin, end):
+        largest = max(largest, abs(sampler.jumps[k, i]))
+    return largest
+
+
+@njit_in_place
 def _name_jump(sampler: Sampler, i: int) -> None:
     """Tell steps, spikes and wrong rates apart by the pattern of e, and remove them."""
     first, last = HISTORY - 5, HISTORY - 2
-    largest = 0.0
-    for k in range(first, last):
-        largest = max(largest, abs(sampler.jumps[k, i]))
-    peak = first
+    largest, peak = _loudest(sampler, i, first, last), first
     while abs(sampler.jumps[peak, i]) < MOST * largest or (
         peak + 1 < last and _is_before_step(sampler, i, peak)
     ):
         peak += 1
     size, after = sampler.jumps[peak, i], sampler.jumps[peak + 1, i]
-    if abs(size) <= smallest_jump(sampler, i) or _is_stop(sampler, i, peak):
+    shakes = _loudest(sampler, i, 0, peak - 1) > 2.0 * LEFT * abs(size)
+    if abs(size) <= smallest_jump(sampler, i) or shakes or _is_stop(sampler, i, peak):
         return
     doubt = sampler.doubtful[peak, i]
     if abs(after + size) < LEFT * abs(size):
