@@ -1,10 +1,10 @@
 """Arm and gains of a run, and what the certificate of these gains proves of this arm."""
 
+import contextlib
 import hashlib
 from dataclasses import dataclass
 from pathlib import Path
 
-from lpv.bag.errors import BagError
 from lpv.bag.rosbag.output_folder import GAINS_NAME
 from lpv.core.serial_arm.arm_file import load_arm
 from lpv.core.serial_arm.certificate.certified import CertifiedGains
@@ -15,9 +15,7 @@ from lpv.core.support.inequalities import Check
 from lpv.core.support.resources import bringup_file, shipped_files
 from lpv.core.uio.certificate.gains import load_certified
 
-_ANSWERS = tuple(
-    f'lpv_msgs/msg/{name}' for name in ('FaultEstimate', 'StateEstimate', 'FaultAlarm')
-)
+_ANSWERS = [f'lpv_msgs/msg/{kind}' for kind in ('FaultEstimate', 'StateEstimate', 'FaultAlarm')]
 
 
 @dataclass(frozen=True)
@@ -84,24 +82,17 @@ def find_arm_and_gains(
     bag: str | Path, arm: SerialArm | None, gains: str | Path | None = None
 ) -> tuple[SerialArm, Path | None, str]:
     """Arm and gains as given, else of the bag, else shipped; where the gains come from."""
-    if not Path(bag).exists():
-        raise BagError(f'{bag}: there is no such bag')
     file = bringup_file('gains', str(gains)) if gains else beside_bag(bag, GAINS_NAME)
     source = file.name + ('' if gains else ' of the bag') if file else ''
     if arm:
         return arm, file, source
-    try:
-        described = described_arm(load_certified(file)) if file else None
-    except ConfigError:
-        if gains:
-            raise
-        described = None  # a damaged file in a bag must not stand in the way of a report
-    if described is not None:
-        return described, file, source
+    # A damaged file in a bag must not stand in the way of a report.
+    with contextlib.nullcontext() if gains else contextlib.suppress(ConfigError):
+        if file and (described := described_arm(load_certified(file))):
+            return described, file, source
     name = named_arm(bag)
     shipped = shipped_arm(name)
-    if file is None and name in shipped_files('gains'):
-        file = shipped_files('gains')[name]
+    if file is None and (file := shipped_files('gains').get(name)):
         source = f'shipped gains of arm {name!r}, which the messages name'
     return shipped, file, source
 

@@ -71,7 +71,6 @@ class AlarmPair:
 
     @property
     def sensor(self) -> str:
-        """Name of the sensor."""
         return next(episode.sensor for episode in (self.first, self.second) if episode)
 
 
@@ -103,31 +102,22 @@ class Comparison:
 
     def as_dict(self) -> dict[str, Any]:
         """Plain data for JSON; what is not a number is None."""
-        names = ('common', 'only_first', 'only_second', 'complete')
-
-        def plain(alarm: Episode | None) -> dict[str, Any] | None:
-            return {**asdict(alarm), 'delay': alarm.delay} if alarm else None
-
-        found = {
-            'same': self.same,
-            'answers': {name: getattr(self, name) for name in names},
-            'figures': [vars(figure) for figure in self.figures],
-            'differences': [vars(figure) for figure in self.differences],
-            'alarms': [
-                {**vars(pair), 'first': plain(pair.first), 'second': plain(pair.second)}
-                for pair in self.alarms
-            ],
-        }
-        return finite(found)
+        names, found = ('common', 'only_first', 'only_second', 'complete'), asdict(self)
+        for pair, plain in zip(self.alarms, found['alarms']):
+            for name, alarm in (('first', pair.first), ('second', pair.second)):
+                if alarm is not None:
+                    plain[name]['delay'] = alarm.delay
+        parts = {name: found[name] for name in ('figures', 'differences', 'alarms')}
+        answers = {name: getattr(self, name) for name in names}
+        return finite({'same': self.same, 'answers': answers, **parts})
 
 
 def load_pair(
     bag: str | Path, other: str | Path, arm: SerialArm, topic: str | None = None
 ) -> tuple[RunRecord, RunRecord]:
     """Two runs of one recording; what one bag does not hold is taken from the other."""
-    first, second = (
-        load_run(path, topic, arm.joint_names, answers_only=True) for path in (bag, other)
-    )
+    bags = (bag, other)
+    first, second = (load_run(path, topic, arm.joint_names, answers_only=True) for path in bags)
     for one, another in ((first, second), (second, first)):
         for name in ('joint_states', 'ground_truth', 'reference', 'torque_command'):
             if name in one.streams and name not in another.streams:
@@ -150,18 +140,13 @@ def compare_runs(
     common = np.intersect1d(stamps[0], stamps[1])
     if not len(common):
         raise LpvError('the bags have no answer with the same stamp: they are not of one recording')
-    alone = [len(s) - len(common) for s in stamps]
     pairs = _pairs(first, second, arm, tolerances.delay)
     first, second = _restricted(first, common), _restricted(second, common)
-    return Comparison(
-        _figures(first, second, arm, tolerances.mise),
-        list(_differences(first, second, arm, tolerances)),
-        pairs,
-        len(common),
-        alone[0],
-        alone[1],
-        tolerances.missing,
-    )
+    figures = _figures(first, second, arm, tolerances.mise)
+    differences = list(_differences(first, second, arm, tolerances))
+    one, two = (len(s) - len(common) for s in stamps)
+    counts = len(common), one, two
+    return Comparison(figures, differences, pairs, *counts, tolerances.missing)
 
 
 def _answer_stamps(record: RunRecord) -> np.ndarray:
@@ -185,10 +170,8 @@ def _restricted(record: RunRecord, common: np.ndarray) -> RunRecord:
 
 
 def _figures(first: RunRecord, second: RunRecord, arm: SerialArm, tolerance: float) -> list[Figure]:
-    one, two = (
-        {(row.signal, row.meaning): row for row in make_table(record, arm)}
-        for record in (first, second)
-    )
+    tables = make_table(first, arm), make_table(second, arm)
+    one, two = ({(row.signal, row.meaning): row for row in table} for table in tables)
     found = []
     for key, row in {**one, **two}.items():
         a, b = (table[key].value if key in table else None for table in (one, two))
@@ -227,9 +210,7 @@ def _differences(
             yield Figure(f'{label} {k + 1}', own, allowed.signal, largest, same)
 
 
-def _pairs(
-    first: RunRecord, second: RunRecord, arm: SerialArm, tolerance: float
-) -> list[AlarmPair]:
+def _pairs(first: RunRecord, second: RunRecord, arm: SerialArm, delay: float) -> list[AlarmPair]:
     """Alarms of one sensor that are nearest in time belong together."""
     left, pairs = list(episodes(second)), []
     shift = (second.stamps['joint_states'][0] - first.stamps['joint_states'][0]) / 1e9
@@ -247,7 +228,7 @@ def _pairs(
             times = ((alarm.raised, other.raised), (_end(alarm), _end(other)))
             # Differences of seconds as floats have nanoseconds of rounding.
             gaps = (0.0 if a == b + shift else abs(a - (b + shift)) for a, b in times)
-            same &= max(gaps) <= tolerance + 1e-9
+            same &= max(gaps) <= delay + 1e-9
         pairs.append(AlarmPair(alarm, other, same, alarm.unit(arm)))
     pairs += [AlarmPair(None, other, False, other.unit(arm)) for other in left]
     return sorted(pairs, key=lambda pair: (pair.first or pair.second).raised)  # type: ignore[union-attr]

@@ -11,22 +11,8 @@ from matplotlib.figure import Figure
 
 from lpv.bag.run.record import RunRecord
 from lpv.core.serial_arm.diagnosis.alarms import SensorState
-from lpv.report import history
+from lpv.report import history, style
 from lpv.report.history import Run, spans, starting, tip_positions, true_faults
-from lpv.report.style import (
-    BAND,
-    HATCHED,
-    INK,
-    PALE,
-    PAPER,
-    SENSOR,
-    SOFT,
-    SPARSE,
-    legend_above,
-    picture,
-    shade,
-    thin,
-)
 
 if TYPE_CHECKING:
     from lpv.core.serial_arm.two_links import ArmParameters
@@ -38,16 +24,16 @@ STATES: tuple[tuple[SensorState, str, dict[str, Any]], ...] = (
     (SensorState.WARN, 'suspected', {'facecolor': '#f0c05a'}),
     (SensorState.ERROR, 'alarm', {'facecolor': ALARM}),
     (SensorState.NOT_DIAGNOSABLE, 'not diagnosable',
-     {**HATCHED, 'facecolor': PAPER, 'linewidth': 0}),
-    (SensorState.STALE, 'no data', {'facecolor': BAND}),
+     {**style.HATCHED, 'facecolor': style.PAPER, 'linewidth': 0}),
+    (SensorState.STALE, 'no data', {'facecolor': style.BAND}),
 )  # fmt: skip
 """States of a sensor, their names and looks: bars and legend are drawn from the same entry."""
 _LINES = {
-    history.INCONSISTENT: SOFT,
+    history.INCONSISTENT: style.SOFT,
     history.UNSAFE: '#a5456f',
-    history.SAFE_STOP: INK,
+    history.SAFE_STOP: style.INK,
     history.BRAKED: '#7a5c2e',
-    history.NO_COMMAND: BAND,
+    history.NO_COMMAND: style.BAND,
     history.TOO_FAST: '#d01c3b',
 }
 _WIDTH, _HALF = 8.6, 0.32
@@ -56,7 +42,7 @@ _WIDTH, _HALF = 8.6, 0.32
 
 def warm_up() -> None:
     """Draw nothing: fonts, layout and coding of pictures are loaded by the first figure."""
-    picture(lambda: _axes(1)[0])
+    style.picture(lambda: _axes(1)[0])
 
 
 def _wide(color: str, label: str) -> dict[str, Any]:
@@ -68,9 +54,8 @@ def _fine(color: str, label: str) -> dict[str, Any]:
 
 
 def _axes(rows: int, columns: int = 1, height: float = 2.15) -> tuple[Figure, np.ndarray]:
-    figure, axes = plt.subplots(
-        rows, columns, sharex=True, squeeze=False, figsize=(_WIDTH, height * rows + 0.3)
-    )
+    look: Any = {'sharex': True, 'squeeze': False, 'figsize': (_WIDTH, height * rows + 0.3)}
+    figure, axes = plt.subplots(rows, columns, **look)
     for axis in axes[-1]:
         axis.set_xlabel('time [s]')
     return figure, axes
@@ -86,14 +71,14 @@ def _draw(axis: Axes, record: RunRecord, source: tuple[str, str, int], **look: A
     values = _column(record, *source)
     if values is None or not np.isfinite(values).any():
         return False
-    axis.plot(*thin(record.time, values), **look)
+    axis.plot(*style.thin(record.time, values), **look)
     return True
 
 
 def _finish(axis: Axes, record: RunRecord, title: str) -> None:
     """Title on the left, legend on the right, both above the data."""
     axis.set_title(title, pad=7)
-    legend_above(axis)
+    style.legend_above(axis)
     axis.set_xlim(0.0, record.time[-1])
     axis.margins(y=0.08)
 
@@ -105,7 +90,7 @@ def _legend(figure: Figure, axes: Any) -> None:
         for handle, label in zip(*axis.get_legend_handles_labels()):
             found.setdefault(label, handle)
     handles, labels = list(found.values()), list(found)
-    figure.legend(handles, labels, loc='outside upper right', ncols=len(found), **SPARSE)
+    figure.legend(handles, labels, loc='outside upper right', ncols=len(found), **style.SPARSE)
 
 
 def timeline(run: Run) -> Figure | None:
@@ -126,7 +111,7 @@ def timeline(run: Run) -> Figure | None:
                 axis.broken_barh(parts, (i - _HALF, 2 * _HALF), label=label, **look)
     for fault in true_faults(record) or ():
         height = [fault.sensor_index + _HALF + 0.1] * 2
-        look = {'color': INK, 'linewidth': 2.0, 'solid_capstyle': 'butt', 'label': 'true fault'}
+        look = {'color': style.INK, 'lw': 2.0, 'solid_capstyle': 'butt', 'label': 'true fault'}
         axis.plot([fault.start, fault.end], height, **look)
     for row, what in enumerate(lines, len(names)):
         parts = [(p.start, p.duration) for p in run.phases if p.what == what]
@@ -152,9 +137,9 @@ def path(run: Run) -> Figure:
     views = [('z, up [m]', 2)] if flat else [('z, up [m]', 2), ('y [m]', 1)]
     figure, axes = plt.subplots(1, len(views), squeeze=False, figsize=(_WIDTH, 4.6))
     curves = (
-        ('joint_states', 'tip as measured, with faults', SENSOR[1], 0.8),
-        ('reference', 'reference path', BAND, 6.0),
-        (actual, 'tip as estimated' if actual == other else 'true tip', SENSOR[0], 1.4),
+        ('joint_states', 'tip as measured, with faults', style.SENSOR[1], 0.8),
+        ('reference', 'reference path', style.BAND, 6.0),
+        (actual, 'tip as estimated' if actual == other else 'true tip', style.SENSOR[0], 1.4),
     )
     for axis, (label, row) in zip(axes[0], views):
         for stream, text, color, width in curves:
@@ -168,12 +153,12 @@ def path(run: Run) -> Figure:
         if marked is not None:
             for name, end, sign, below in (('start', 0, 'o', 7), ('end', -1, 's', -13)):
                 point = marked[end, [0, row]]
-                axis.plot(*point, sign, color=INK, markersize=4.5, zorder=5)
+                axis.plot(*point, sign, color=style.INK, markersize=4.5, zorder=5)
                 offset: Any = {'textcoords': 'offset points', 'xytext': (8, below)}
-                axis.annotate(name, point, color=INK, **offset)
+                axis.annotate(name, point, color=style.INK, **offset)
         obstacle = planned.obstacle if planned is not None else None
         if obstacle is not None:
-            circle = plt.Circle(obstacle.center, obstacle.radius, label='obstacle', **HATCHED)
+            circle = plt.Circle(obstacle.center, obstacle.radius, label='obstacle', **style.HATCHED)
             axis.add_patch(circle)
         axis.set(xlabel='x [m]', ylabel=label)
         axis.set_aspect('equal', adjustable='datalim')
@@ -201,21 +186,21 @@ def faults(run: Run) -> Figure | None:
         )
         assert estimate is not None and bound is not None
         assert state is not None and threshold is not None
-        at, high = thin(record.time, threshold)
-        look: dict[str, Any] = {'color': BAND, 'alpha': 0.45, 'linewidth': 0}
+        at, high = style.thin(record.time, threshold)
+        look: dict[str, Any] = {'color': style.BAND, 'alpha': 0.45, 'linewidth': 0}
         axis.fill_between(at, -high, high, label='below threshold', **look)
         known = np.where(state != SensorState.NOT_DIAGNOSABLE, bound, np.nan)
-        at, low, high = thin(record.time, estimate - known, estimate + known)
-        look = {'color': PALE[i], 'alpha': 0.5, 'linewidth': 0}
+        at, low, high = style.thin(record.time, estimate - known, estimate + known)
+        look = {'color': style.PALE[i], 'alpha': 0.5, 'linewidth': 0}
         axis.fill_between(at, low, high, label='bound', **look)
-        _draw(axis, record, ('ground_truth', 'fault', i), **_wide(PALE[i], 'fault'))
-        _draw(axis, record, ('fault_estimate', 'estimate', i), **_fine(SENSOR[i], 'estimate'))
+        _draw(axis, record, ('ground_truth', 'fault', i), **_wide(style.PALE[i], 'fault'))
+        _draw(axis, record, ('fault_estimate', 'estimate', i), **_fine(style.SENSOR[i], 'estimate'))
         mine = [e for e in run.alarms if e.sensor_index == i]
         end = float(record.time[-1])
         active = [(e.raised, end if e.cleared is None else e.cleared) for e in mine]
-        shade(axis, active, 'alarm', color=ALARM, alpha=0.14)
+        style.shade(axis, active, 'alarm', color=ALARM, alpha=0.14)
         lost = spans(state == SensorState.NOT_DIAGNOSABLE, record.time)
-        shade(axis, lost, 'not diagnosable', **HATCHED)
+        style.shade(axis, lost, 'not diagnosable', **style.HATCHED)
         # What is certain sets the scale: a bound that grows without end would hide the rest.
         shown = np.abs(np.concatenate([estimate, (np.abs(estimate) + known)[np.isfinite(known)]]))
         highest = np.nanpercentile(shown, 99.0) if np.isfinite(shown).any() else 1.0
@@ -257,9 +242,9 @@ def measured(run: Run) -> Figure | None:
         return {**_fine(color, label), 'linestyle': (0, (4, 2.5))}
 
     curves = (
-        ('reference', 'position', _wide, PALE, 'reference'),
-        ('joint_states', 'position', _fine, SENSOR, 'measured'),
-        ('ground_truth', 'position', dashed, [INK] * len(PALE), 'true'),
+        ('reference', 'position', _wide, style.PALE, 'reference'),
+        ('joint_states', 'position', _fine, style.SENSOR, 'measured'),
+        ('ground_truth', 'position', dashed, [style.INK] * len(style.PALE), 'true'),
     )
     return _of_joints(run, (('position', '{0}', curves),), 2.4)
 
@@ -272,8 +257,8 @@ def states(run: Run) -> Figure | None:
     has_truth = 'ground_truth' in record.streams
     truth, label = ('ground_truth', 'true') if has_truth else ('joint_states', 'measured')
     columns = tuple(
-        (field, unit, ((truth, field, _wide, PALE, label),
-                       ('state_estimate', field, _fine, SENSOR, 'estimate')))
+        (field, unit, ((truth, field, _wide, style.PALE, label),
+                       ('state_estimate', field, _fine, style.SENSOR, 'estimate')))
         for field, unit in (('position', '{0}'), ('velocity', '{0}/s'))
     )  # fmt: skip
     return _of_joints(run, columns, 2.0)
@@ -282,8 +267,8 @@ def states(run: Run) -> Figure | None:
 def torques(run: Run) -> Figure | None:
     """Fig. 8: torques of all joints."""
     curves = (
-        ('joint_states', 'effort', _wide, PALE, 'measured effort'),
-        ('torque_command', 'torque', _fine, SENSOR, 'command'),
+        ('joint_states', 'effort', _wide, style.PALE, 'measured effort'),
+        ('torque_command', 'torque', _fine, style.SENSOR, 'command'),
     )
     return _of_joints(run, (('torque', '{1}', curves),), 2.2)
 
@@ -291,7 +276,7 @@ def torques(run: Run) -> Figure | None:
 def draw_region(found: 'Guarantee', arm: 'ArmParameters', file: str | Path) -> None:
     """Write a map of the smallest fault that is always detected at rest."""
     Path(file).parent.mkdir(parents=True, exist_ok=True)
-    Path(file).write_bytes(picture(_region, found, arm))
+    Path(file).write_bytes(style.picture(_region, found, arm))
 
 
 def _region(found: 'Guarantee', arm: 'ArmParameters') -> Figure:
@@ -305,8 +290,8 @@ def _region(found: 'Guarantee', arm: 'ArmParameters') -> Figure:
         values = found.detectable[:, :, i].T
         values = np.where(np.isfinite(values), values, np.nan)
         shades = axis.pcolormesh(degrees, degrees, values, **look)
-        axis.patch.set(facecolor=PAPER, hatch='////', edgecolor=SOFT, linewidth=0.0)
-        lines = axis.contour(degrees, degrees, values, levels, colors=INK, linewidths=0.8)
+        axis.patch.set(facecolor=style.PAPER, hatch='////', edgecolor=style.SOFT, linewidth=0.0)
+        lines = axis.contour(degrees, degrees, values, levels, colors=style.INK, linewidths=0.8)
         axis.clabel(lines, fmt='%g rad', fontsize=7.5)
         axis.set(title=arm.sensor_names[i], xlabel='link 1 from the vertical [deg]')
         axis.set_aspect('equal')

@@ -43,6 +43,12 @@ _MEANING = {
     NOT_DIAGNOSABLE: 'the level of the fault estimate says nothing in this configuration',
     NO_DATA: 'no usable reading',
 }
+_TOLD = (
+    (INCONSISTENT, 'observer', INCONSISTENT),
+    (UNSAFE, 'observer', 'a confirmed fault cannot be compensated'),
+    (BRAKED, 'drives', 'braked: '),
+)
+"""What a node's reports tell, by how they begin."""
 _MOST = 8
 """Intervals of one kind that are listed individually."""
 _MOST_TIPS = 5000
@@ -122,11 +128,8 @@ def true_faults(record: RunRecord) -> list[FaultSpan] | None:
         return None
     time = record.seconds(record.stamps['ground_truth'])
     # A dropout is recorded as NaN, which is not zero either.
-    return [
-        FaultSpan(i, *span)
-        for i, column in enumerate(truth.T)
-        for span in spans(column != 0.0, time)
-    ]
+    found = [spans(column != 0.0, time) for column in truth.T]
+    return [FaultSpan(i, *span) for i, own in enumerate(found) for span in own]
 
 
 def episodes(record: RunRecord) -> list[Episode]:
@@ -150,23 +153,17 @@ def _episode(
     unknown = faults is None or (not mine and (None in told or first.kind == alarms.RATE_BIAS))
     true_onset = None if unknown else mine[-1] if mine else math.nan
     size, bound, largest = last.size, last.bound, math.nan
-    estimate, bounds = (record.get('fault_estimate', name) for name in ('estimate', 'bound'))
+    known = record.streams.get('fault_estimate', {'estimate': np.zeros((0, 0))})
     if last.kind == 'dropout':
         size = bound = math.nan
-    elif (
-        estimate is not None
-        and bounds is not None
-        and 0 <= i < estimate.shape[1]
-        and (last.kind not in ('noise', alarms.RATE_BIAS))
-    ):
-        time, known = record.seconds(record.stamps['fault_estimate']), np.isfinite(estimate[:, i])
+    elif 0 <= i < known['estimate'].shape[1] and last.kind not in ('noise', alarms.RATE_BIAS):
+        time, values = record.seconds(record.stamps['fault_estimate']), known['estimate'][:, i]
         until = math.inf if cleared is None else cleared
-        rows = np.flatnonzero((time >= raised) & (time <= until) & known)
+        rows = np.flatnonzero((time >= raised) & (time <= until) & np.isfinite(values))
         if rows.size:
-            values = estimate[rows, i]
-            largest = float(values[np.argmax(np.abs(values))])
+            largest = float(max(values[rows], key=abs))
             if cleared is None:
-                size, bound = float(values[-1]), float(bounds[rows[-1], i])
+                size, bound = float(values[rows[-1]]), float(known['bound'][rows[-1], i])
     return Episode(
         first.sensor, i, onset, raised, cleared, size,
         bound, largest, last.kind, last.confidence, true_onset,
@@ -212,21 +209,17 @@ def phases(
     record: RunRecord, arm: SerialArm, reports: Mapping[str, Sequence[NodeReport]]
 ) -> list[Phase]:
     """All such intervals by beginning, as exact as the nodes' ``reports`` where these say it."""
-    observer = reports.get('observer', ())
     _, time, rates = _rates(record)
     commands = record.stamps.get('torque_command', np.zeros(0, np.int64))
     last = max([*commands[-1:], record.stamps['joint_states'][-1]])
     times = record.seconds(np.append(commands, last)).tolist()
     silent = [pair for pair in zip(times, times[1:]) if pair[1] - pair[0] > MAX_GAP]
-    of_arm = {
-        INCONSISTENT: _while(record, observer, INCONSISTENT),
-        UNSAFE: _while(record, observer, 'a confirmed fault cannot be compensated'),
-        NO_COMMAND: silent,
-        TOO_FAST: spans((np.abs(rates) > arm.velocity_limit).any(axis=1), time),
-    }
-    found = [Phase(what, '', *span) for what, some in of_arm.items() for span in some]
+    fast = spans((np.abs(rates) > arm.velocity_limit).any(axis=1), time)
+    found = [Phase(NO_COMMAND, '', *span) for span in silent]
+    found += [Phase(TOO_FAST, '', *span) for span in fast]
     found += _safe_stops(record, reports.get('tracking', ()))
-    found += _brakes(record, reports.get('drives', ()))
+    for what, who, begin in _TOLD:
+        found += _told(record, reports.get(who, ()), what, begin)
     states = record.get('fault_estimate', 'state')
     if states is not None:
         stamps = record.stamps['fault_estimate']
@@ -248,27 +241,19 @@ def starting(record: RunRecord, stamps: np.ndarray) -> np.ndarray:
     return np.isin(stamps, record.stamps['state_estimate'][mode == alarms.Mode.INITIALISING])
 
 
-def _while(record: RunRecord, reports: Sequence[NodeReport], begin: str) -> list[Span]:
-    """Spans in which a node's reports begin with a text."""
-    if not reports:
-        return []
-    time = record.seconds(np.array([report.stamp for report in reports]))
-    return spans(np.array([report.message.startswith(begin) for report in reports]), time)
-
-
-def _brakes(record: RunRecord, reports: Sequence[NodeReport]) -> list[Phase]:
-    """The drives report when they brake or release: each report holds until the next one."""
+def _told(record: RunRecord, reports: Sequence[NodeReport], what: str, begin: str) -> list[Phase]:
+    """While a node's reports begin with a text: each of them holds until the next one."""
     found: list[Phase] = []
     ends = [float(record.seconds(report.stamp)) for report in reports[1:]] + [record.time[-1]]
     for report, end in zip(reports, ends):
-        start = float(record.seconds(report.stamp))
-        begin, _, reason = report.message.partition(': ')
-        if begin != 'braked' or reason == 'no command yet':
+        start, reason = float(record.seconds(report.stamp)), report.message.removeprefix(begin)
+        if reason == report.message or reason == 'no command yet':
             continue
-        if found and found[-1].end == start and found[-1].note == reason:
+        note = reason if what == BRAKED else ''
+        if found and (found[-1].end, found[-1].note) == (start, note):
             found[-1] = replace(found[-1], end=end)
         else:
-            found.append(Phase(BRAKED, '', start, end, reason))
+            found.append(Phase(what, '', start, max(start, end), note))
     return found
 
 
@@ -277,14 +262,11 @@ def _safe_stops(record: RunRecord, reports: Sequence[NodeReport]) -> list[Phase]
     stopped = record.get('torque_command', 'safe_stop')
     if stopped is None:
         return []
-    told = [
-        (float(record.seconds(r.stamp)), r.message.partition(': ')[2])
-        for r in reports
-        if r.message.startswith('safe stop: ')
-    ]
-    found = []
+    begin, found = 'safe stop: ', []
+    told = [(record.seconds(r.stamp), r.message) for r in reports if r.message.startswith(begin)]
     for start, end in spans(stopped != 0, record.seconds(record.stamps['torque_command'])):
-        reasons = dict.fromkeys(text for at, text in told if start <= at <= end)
+        during = (text.removeprefix(begin) for at, text in told if start <= at <= end)
+        reasons = dict.fromkeys(during)
         found.append(Phase(SAFE_STOP, '', start, end, '; '.join(reasons)))
     return found
 
@@ -330,15 +312,9 @@ def motion(record: RunRecord, arm: SerialArm) -> Motion:
     if truth is not None and reference is not None:
         one, two = tip_positions(arm, truth, reference)
         path_error = float(np.linalg.norm(one - two, axis=1).max()) if len(one) else None
-    return Motion(
-        source,
-        float(shares[row, joint]),
-        float(abs(rates[row, joint])),
-        float(limits[joint]),
-        f'{arm.position_units[joint]}/s',
-        arm.joint_names[joint],
-        path_error,
-    )
+    fastest = float(shares[row, joint]), float(abs(rates[row, joint])), float(limits[joint])
+    names = f'{arm.position_units[joint]}/s', arm.joint_names[joint]
+    return Motion(source, *fastest, *names, path_error)
 
 
 def _rates(record: RunRecord) -> tuple[str, np.ndarray, np.ndarray]:

@@ -30,13 +30,9 @@ def css_string(text: str) -> str:
 
 def environment(folder: str | Path) -> jinja2.Environment:
     """Templates of a folder and all reports' ``style.css``; unknown names are refused."""
-    found = jinja2.Environment(
-        autoescape=True,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        undefined=jinja2.StrictUndefined,
-        loader=jinja2.FileSystemLoader([Path(folder), Path(__file__).parent]),
-    )
+    loader = jinja2.FileSystemLoader([Path(folder), Path(__file__).parent])
+    options: Any = dict.fromkeys(('autoescape', 'trim_blocks', 'lstrip_blocks'), True)
+    found = jinja2.Environment(loader=loader, undefined=jinja2.StrictUndefined, **options)
     found.filters['css_string'] = css_string
     return found
 

@@ -20,7 +20,7 @@ from lpv.report.page import Tile, write_page
 
 _CALENDAR = 946684800 * NANOSECONDS
 """Stamps after the year 2000 are dates, others count from the start of something [ns]."""
-_PACKAGES = ('numpy', 'numba', 'matplotlib', 'rosbags', 'mcap')
+_PACKAGES = ('lpv', 'numpy', 'numba', 'matplotlib', 'rosbags', 'mcap')
 _CAPTIONS = {
     figures.timeline: 'What the diagnosis said of each sensor, and when.',
     figures.path: 'Path of the tip (cf. Fig. 4 of the paper).',
@@ -50,35 +50,28 @@ def _size(value: float, unit: str, sign: str = '') -> str:
 
 
 def content(run: Run) -> dict[str, Any]:
-    """Values for the template."""
     record, arm = run.record, run.arm
     names = record.sensor_names or arm.sensor_names
     shown, rests = listed(run.phases)
     stamps = record.stamps['joint_states']
+    versions = (installed_version(name, 'not installed as a package') for name in _PACKAGES)
     begin = time.gmtime(int(stamps[0]) // NANOSECONDS) if stamps[0] >= _CALENDAR else None
     return {
         'run': run,
         'title': run.title,
-        'record': record,
         'period': f'{np.median(np.diff(stamps)) / 1e6:.3g}' if len(stamps) > 1 else '',
         'begin': time.strftime('%Y-%m-%d %H:%M:%S', begin) if begin else '',
         'verdict': _verdict(run),
         'ran_away': run.motion.fastest > 1.0,
         'tiles': _tiles(run),
         'missed': [(names[m.sensor_index], m) for m in run.missed],
-        'have_truth': 'ground_truth' in record.streams,
         'phases': shown,
         'rests': rests,
-        'from_reports': (history.INCONSISTENT, history.UNSAFE),
         'have_diagnostics': any(t.endswith('/diagnostics') for t in record.counts),
         'compare': any(row.paper is not None for row in run.table),
         'errors': any(row.is_error for row in run.table),
         'detectable': _detectable(record, arm),
-        'versions': [
-            (name, installed_version(name, 'not installed as a package'))
-            for name in ('lpv', *_PACKAGES)
-        ]
-        + [('Python', platform.python_version())],
+        'versions': [*zip(_PACKAGES, versions), ('Python', platform.python_version())],
         'arm_facts': [
             ('name', arm.name),
             ('SHA-256', arm.sha256()),
