@@ -131,7 +131,6 @@ class Layout:
 
 
 def find_layout(data: bytes, msgtype: str, typestore: Typestore) -> Layout | None:
-    """Layout of a message."""
     if len(data) > _LARGEST:
         return None
     try:

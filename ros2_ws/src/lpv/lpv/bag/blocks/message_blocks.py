@@ -52,9 +52,8 @@ class Block:
 
     def chosen(self, rows: np.ndarray) -> 'Block':
         """Some of the messages."""
-        return Block(
-            self.data, self.connection[rows], self.time[rows], self.start[rows], self.size[rows]
-        )
+        own = self.connection, self.time, self.start, self.size
+        return Block(self.data, *(column[rows] for column in own))
 
 
 def rows(buffer: np.ndarray, dtype: np.dtype | str, starts: np.ndarray | None = None) -> np.ndarray:
@@ -72,13 +71,14 @@ def record(channel: int, time: int, data: bytes) -> bytes:
 def from_rows(records: np.ndarray) -> Block:
     """A block of records of one size, with the fields of `RECORD` at their beginnings."""
     size = records.dtype.itemsize
-    return Block(
-        np.ascontiguousarray(records).view(np.uint8),
-        records['channel'].astype(np.int64),
-        records['log_time'].astype(np.int64),
-        size * np.arange(len(records)) + RECORD.itemsize,
-        np.full(len(records), size - RECORD.itemsize),
-    )
+    data, starts = np.ascontiguousarray(records).view(np.uint8), size * np.arange(len(records))
+    return _block(data, records, starts, np.full(len(records), size - RECORD.itemsize))
+
+
+def _block(data: np.ndarray, heads: np.ndarray, starts: np.ndarray, sizes: np.ndarray) -> Block:
+    """A block of records that start somewhere, with their heads and the sizes of messages."""
+    channels, times = (heads[name].astype(np.int64) for name in ('channel', 'log_time'))
+    return Block(data, channels, times, starts + RECORD.itemsize, sizes)
 
 
 def split(records: bytes | bytearray) -> tuple[Block, list[bytes]]:
@@ -97,13 +97,7 @@ def split(records: bytes | bytearray) -> tuple[Block, list[bytes]]:
     heads = rows(content, RECORD, starts)
     if (heads['log_time'] > np.uint64(2**63 - 2)).any():
         raise DamageError('the time of a message is beyond all times')
-    block = Block(
-        content,
-        heads['channel'].astype(np.int64),
-        heads['log_time'].astype(np.int64),
-        starts + RECORD.itemsize,
-        heads['length'].astype(np.int64) - 22,
-    )
+    block = _block(content, heads, starts, heads['length'].astype(np.int64) - 22)
     found = [content[at : at + 9 + int(numbers[at + 1])].tobytes() for at in others[:other]]
     return block, found
 
@@ -134,13 +128,9 @@ def joined(blocks: list[Block]) -> Block:
     block = blocks[0]
     if len(blocks) > 1:
         begins = np.cumsum([0] + [len(b.data) for b in blocks[:-1]])
-        block = Block(
-            np.concatenate([b.data for b in blocks]),
-            np.concatenate([b.connection for b in blocks]),
-            np.concatenate([b.time for b in blocks]),
-            np.concatenate([b.start + begin for b, begin in zip(blocks, begins)]),
-            np.concatenate([b.size for b in blocks]),
-        )
+        names = ('data', 'connection', 'time', 'start', 'size')
+        block = Block(*(np.concatenate([getattr(b, name) for b in blocks]) for name in names))
+        block.start = block.start + np.repeat(begins, [len(b) for b in blocks])
     if (np.diff(block.time) < 0).any():
         return block.chosen(np.argsort(block.time, kind='stable'))
     return block

@@ -58,8 +58,9 @@ class Player:
                 chosen = [c for c in chosen if c.topic in publishers]
                 self._await([*publishers.values(), *([clock] if clock else [])], say)
                 self._ok, published = node.context.ok, 0
+                sinks = [publishers[connection.topic] for connection in chosen]
                 for turn in count(1):
-                    published += self._play(reader, chosen, publishers, clock)
+                    published += self._play(reader, chosen, sinks, clock)
                     if not self.loop or turn == rounds or not self._ok():
                         break
                 for publisher in publishers.values():
@@ -74,12 +75,8 @@ class Player:
                 listed = ', '.join(sorted(there))
                 raise BagError(f'{self.bag}: the bag has no topic {topic!r}; it has {listed}')
             return [c for c in reader.connections if c.topic in self.topics]
-        chosen = [
-            c
-            for c in reader.connections
-            if c.topic not in (DIAGNOSTICS, _CLOCK)
-            and OUTPUTS.get(c.topic.rpartition('/')[2]) != c.msgtype
-        ]
+        others = (c for c in reader.connections if c.topic not in (DIAGNOSTICS, _CLOCK))
+        chosen = [c for c in others if OUTPUTS.get(c.topic.rpartition('/')[2]) != c.msgtype]
         if not chosen:
             raise BagError(f'{self.bag}: holds answers of the diagnosis alone; name topics to play')
         return chosen
@@ -101,14 +98,14 @@ class Player:
     def _play(
         self,
         reader: BagReader,
-        connections: Sequence[Connection],
-        publishers: dict[str, Publisher],
+        chosen: Sequence[Connection],
+        sinks: list[Publisher],
         clock: Publisher | None,
     ) -> int:
         """Play once; the number of messages."""
         origin, tick, published = -1, 0, 0
         wall = time.monotonic()
-        for block in ahead(reader.blocks(connections, *map(reader.log_time, self.interval))):
+        for block in ahead(reader.blocks(chosen, *map(reader.log_time, self.interval))):
             for i, stamp in enumerate(block.time.tolist()):
                 if origin < 0:
                     wall, origin, tick = time.monotonic(), stamp, stamp
@@ -117,7 +114,7 @@ class Player:
                     tick += self._tick
                 if not self._sleep(wall, stamp - origin):
                     return published
-                publishers[connections[block.connection[i]].topic].publish(block.message(i))
+                sinks[block.connection[i]].publish(block.message(i))
                 published += 1
         return published
 

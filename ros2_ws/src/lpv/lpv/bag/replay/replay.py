@@ -95,21 +95,16 @@ class Replay:
                 _check(bag, result)
                 if not result.answered and result.rejected:
                     (reason, count), *_ = result.rejected.most_common(1)
-                    raise BagError(
-                        f'{bag}: none of its {result.measurements} measurements can be used '
-                        f'({count} of them: {reason})'
-                    )
+                    text = f'none of its {result.measurements} measurements can be used'
+                    raise BagError(f'{bag}: {text} ({count} of them: {reason})')
         return result
 
     def watch(self, bag: str | Path, take: Callable[..., Any]) -> ReplayResult:
         """Run over a bag, hand measurements and answers to ``take`` by blocks, write nothing."""
         with open_bag(bag) as reader:
             result, effort = self._begin(reader)
-            result.streams = {
-                name
-                for name in STREAMS
-                if find_connections(reader, name, namespace=result.namespace)
-            }
+            within = result.namespace
+            result.streams = {n for n in STREAMS if find_connections(reader, n, namespace=within)}
             for batch in ahead(self._batches(reader, effort, result)):
                 take(batch.measured, self._answer(batch, result))
             result.warnings = list(reader.warnings)
@@ -196,10 +191,9 @@ def _check(bag: str | Path, result: ReplayResult) -> None:
     if not result.measurements:
         raise BagError(f'{bag}: holds no message on {result.topic} in the chosen interval')
     if result.answered == 1 < result.measurements - sum(result.rejected.values()):
-        raise BagError(
-            f'{bag}: no measurement on {result.topic} is newer than the first one: let the driver '
-            'stamp them with the time of measurement'
-        )
+        remedy = 'let the driver stamp them with the time of measurement'
+        text = f'no measurement on {result.topic} is newer than the first one: {remedy}'
+        raise BagError(f'{bag}: {text}')
 
 
 def _effort_connection(reader: BagReader, topic: str) -> Connection:
@@ -249,21 +243,15 @@ def judge(faults: Sequence[Fault], result: ReplayResult) -> list[InjectedFault]:
         return is_own and tells_of(fault.onset, fault.end, onset, at, event.kind)
 
     end = math.inf if result.last_stamp is None else (result.last_stamp - start) / NANOSECONDS
+    raised = [(at, event) for at, event in events if event.event == AlarmEvent.RAISED]
+    false = [one for one in raised if all(tells(fault, *one) is False for fault in faults)]
     for fault in faults:
-        wrong = {
-            event.sensor
-            for at, event in events
-            if event.event == AlarmEvent.RAISED and event.sensor != fault.sensor
-            if fault.onset <= at <= fault.end + GRACE
-            if all(tells(f, at, event) is False for f in faults)
-        }
-        own = [
-            (at, event)
-            for at, event in events
-            if event.event != AlarmEvent.CLEARED and tells(fault, at, event)
-        ]
+        during = {event.sensor for at, event in false if fault.onset <= at <= fault.end + GRACE}
+        said = [one for one in events if one[1].event != AlarmEvent.CLEARED]
+        own = [(at, event) for at, event in said if tells(fault, at, event)]
         delays = [at - fault.onset for at, event in own if event.event == AlarmEvent.RAISED]
-        one = InjectedFault(fault, fault.onset <= end, tuple(sorted(wrong)))
+        wrong = tuple(sorted(during - {fault.sensor}))
+        one = InjectedFault(fault, fault.onset <= end, wrong)
         if delays:
             at, last = ([pair for pair in own if pair[0] <= fault.end] or own)[-1]
             true, error = true_size(fault, at), None

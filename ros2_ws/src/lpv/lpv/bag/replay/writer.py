@@ -48,11 +48,7 @@ class ReplayWriter:
     """Writes a new bag, ``bag``, which its user closes."""
 
     def __init__(
-        self,
-        path: str | Path,
-        monitor: SerialSensorMonitor,
-        preset: str,
-        copied: Sequence[Connection],
+        self, path: str | Path, monitor: SerialSensorMonitor, preset: str, copied: list[Connection]
     ) -> None:
         self._name, arm = monitor.name, monitor.arm
         prefix = self._name.rsplit('/', 1)[0]
@@ -111,11 +107,10 @@ class ReplayWriter:
         state, found = answers.state, list[np.ndarray]()
         stamp, time = batch.measured.stamp, batch.block.time[batch.measured.places]
         corrected = {'position': state.compensated_position, 'velocity': state.velocity}
-        for template, chosen, values in zip(
-            self._templates,
-            (answers.answered, answers.has_fault, answers.answered & (state.mode < Mode.STALE)),
-            (state, answers.fault, corrected),
-        ):
+        parts = state, answers.fault, corrected
+        is_new = answers.answered & (state.mode < Mode.STALE)
+        which = answers.answered, answers.has_fault, is_new
+        for template, chosen, values in zip(self._templates, which, parts):
             some = slice(None) if chosen.all() else chosen
             found.append(template.fill(time[some], stamp[some], values, some))
         texts = b''

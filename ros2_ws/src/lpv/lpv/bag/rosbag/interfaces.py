@@ -24,10 +24,8 @@ def message_text(msgtype: str) -> str:
         path = folder / 'msg' / f'{name}.msg'
         if path.is_file():
             return path.read_text(encoding='utf-8')
-    raise ConfigError(
-        'message type',
-        f'{msgtype} is not installed: no {package}/msg/{name}.msg below any sourced prefix',
-    )
+    reason = f'is not installed: no {package}/msg/{name}.msg below any sourced prefix'
+    raise ConfigError('message type', f'{msgtype} {reason}')
 
 
 def decode(typestore: Typestore, data: bytes, msgtype: str) -> Any:

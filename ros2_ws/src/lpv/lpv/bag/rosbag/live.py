@@ -28,11 +28,9 @@ def type_name(kind: type) -> str:
 
 def ros_qos(reliable: bool, latched: bool, depth: int) -> QoSProfile:
     """QoS of a publisher or subscription."""
-    return QoSProfile(
-        depth=depth,
-        reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
-        durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
-    )
+    reliability = ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT
+    durability = DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE
+    return QoSProfile(depth=depth, reliability=reliability, durability=durability)
 
 
 @contextlib.contextmanager

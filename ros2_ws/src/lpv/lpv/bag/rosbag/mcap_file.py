@@ -63,7 +63,6 @@ class McapFile:
         self._scan()
 
     def close(self) -> None:
-        """Close the file."""
         self._data.close()
 
     def _read_summary(self) -> bool:
@@ -166,10 +165,9 @@ class McapFile:
             if len(times) and not place.start <= times.min() <= times.max() <= place.end:
                 raise DamageError('its times are not those of the index')
         except Exception as error:  # of many kinds: the bytes may be anything
-            raise DamageError(
-                f'{self.path.name}: the chunk at byte {place.offset} is damaged '
-                f'({error_text(error)}), its {place.messages} messages are left out'
-            ) from None
+            text = f'the chunk at byte {place.offset} is damaged ({error_text(error)})'
+            text += f', its {place.messages} messages are left out'
+            raise DamageError(f'{self.path.name}: {text}') from None
         return block
 
 

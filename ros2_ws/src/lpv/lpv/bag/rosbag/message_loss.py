@@ -14,7 +14,6 @@ class TopicCount:
     _sequences: dict[bytes | None, int] = field(default_factory=dict)
 
     def take(self, publisher: bytes | None = None, sequence: int | None = None) -> None:
-        """Count a message."""
         self.messages += 1
         if sequence is None:
             return

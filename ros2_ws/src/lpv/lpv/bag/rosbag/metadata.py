@@ -9,15 +9,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import yaml
-from rosbags.interfaces import (
-    Connection,
-    Qos,
-    QosDurability,
-    QosHistory,
-    QosLiveliness,
-    QosReliability,
-    QosTime,
-)
+from rosbags import interfaces
+from rosbags.interfaces import Connection, Qos, QosDurability, QosReliability
 from rosbags.rosbag2.metadata import dump_qos_v9
 
 from lpv.bag.errors import DamageError
@@ -33,25 +26,20 @@ RECORD_NAME = 'lpv_recorder'
 Known = dict[str, dict[str, int]]
 """What a recorder knows of each topic: messages, lost, late."""
 _DUMPER = getattr(yaml, 'CSafeDumper', yaml.SafeDumper)
-_FOREVER = QosTime(2147483647, 4294967295)
+_FOREVER = interfaces.QosTime(2147483647, 4294967295)
 
 
 def qos_profile(reliable: bool, transient_local: bool, depth: int) -> Qos:
     """Offered QoS as stored beside a topic."""
     reliability = QosReliability.RELIABLE if reliable else QosReliability.BEST_EFFORT
     durability = QosDurability.TRANSIENT_LOCAL if transient_local else QosDurability.VOLATILE
-    always = _FOREVER, _FOREVER, QosLiveliness.AUTOMATIC, _FOREVER, False
-    return Qos(QosHistory.KEEP_LAST, depth, reliability, durability, *always)
+    always = _FOREVER, _FOREVER, interfaces.QosLiveliness.AUTOMATIC, _FOREVER, False
+    return Qos(interfaces.QosHistory.KEEP_LAST, depth, reliability, durability, *always)
 
 
 def offered_qos(connection: Connection) -> list[Qos]:
     """QoS profiles with which a topic was offered when it was recorded."""
     return list(getattr(connection.ext, 'offered_qos_profiles', None) or ())
-
-
-def qos_text(connection: Connection) -> str:
-    """Offered QoS as a channel's metadata have them."""
-    return dump(dump_qos_v9(offered_qos(connection))).strip()
 
 
 @dataclass(frozen=True)
@@ -61,7 +49,7 @@ class BagMetadata:
     storage: str  # ``mcap`` or ``sqlite3``
     files: tuple[str, ...]  # names of the files in the bag's directory, in order
     compressed: bool  # by rosbag2 itself, beside what a storage does
-    counts: dict[str, int]  # messages by topic
+    counts: Counter[str]  # messages by topic
     hashes: dict[str, str]  # type description hash by message type
     custom: dict[str, str]  # what who recorded it said of the bag
 
@@ -69,10 +57,8 @@ class BagMetadata:
     def known(self) -> Known:
         """What the recorder knew of each topic; nothing where that is damaged."""
         try:
-            return {
-                str(topic): {str(name): int(value) for name, value in counts.items()}
-                for topic, counts in json.loads(self.custom.get(RECORD_NAME, '{}')).items()
-            }
+            said = json.loads(self.custom.get(RECORD_NAME, '{}')).items()
+            return {t: {name: int(value) for name, value in counts.items()} for t, counts in said}
         except (ValueError, TypeError, AttributeError, RecursionError):
             return {}
 
@@ -91,11 +77,10 @@ def read_metadata(folder: Path) -> BagMetadata:
 def _parse(data: Any) -> BagMetadata:
     if int(data['version']) > VERSION:
         raise ValueError(f'version {data["version"]} is not known')
-    counts: dict[str, int] = {}
-    hashes: dict[str, str] = {}
+    counts, hashes = Counter[str](), dict[str, str]()
     for entry in data['topics_with_message_count'] or []:
         topic, name = entry['topic_metadata'], str(entry['topic_metadata']['name'])
-        counts[name] = counts.get(name, 0) + int(entry['message_count'])
+        counts[name] += int(entry['message_count'])
         hashes[str(topic['type'])] = str(topic.get('type_description_hash') or '')
     return BagMetadata(
         str(data['storage_identifier']),
@@ -109,7 +94,6 @@ def _parse(data: Any) -> BagMetadata:
 
 
 def dump(data: object) -> str:
-    """YAML text."""
     return yaml.dump(data, Dumper=_DUMPER, sort_keys=False, width=1000, allow_unicode=True)
 
 
@@ -126,21 +110,18 @@ def bag_information(
 ) -> dict[str, Any]:
     """Content of metadata.yaml of some files."""
     files = [one.entry for one in contents]
-    start = min((first for _, first, _, count in files if count), default=0)
-    end = max((last for _, _, last, count in files if count), default=0)
-    described = [
-        {
-            'topic_metadata': {
-                'name': c.topic,
-                'type': c.msgtype,
-                'serialization_format': 'cdr',
-                'offered_qos_profiles': dump_qos_v9(offered_qos(c)),
-                'type_description_hash': c.digest,
-            },
-            'message_count': sum(one.counts[c.topic] for one in contents),
+    times = [time for _, *span, count in files if count for time in span] or [0]
+
+    def described(topic: Connection) -> dict[str, Any]:
+        about = {
+            'name': topic.topic,
+            'type': topic.msgtype,
+            'serialization_format': 'cdr',
+            'offered_qos_profiles': dump_qos_v9(offered_qos(topic)),
+            'type_description_hash': topic.digest,
         }
-        for c in topics
-    ]
+        count = sum(one.counts[topic.topic] for one in contents)
+        return {'topic_metadata': about, 'message_count': count}
 
     def span(first: int, last: int, count: int) -> dict[str, Any]:
         return {
@@ -152,8 +133,8 @@ def bag_information(
     return {
         'version': VERSION,
         'storage_identifier': 'mcap',
-        **span(start, end, sum(count for *_, count in files)),
-        'topics_with_message_count': described,
+        **span(min(times), max(times), sum(count for *_, count in files)),
+        'topics_with_message_count': [described(topic) for topic in topics],
         'compression_format': '',
         'compression_mode': '',
         'relative_file_paths': [name for name, *_ in files],

@@ -14,15 +14,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from rosbags import interfaces
 from rosbags.highlevel import AnyReader
-from rosbags.interfaces import (
-    Connection,
-    ConnectionExtRosbag2,
-    MessageDefinition,
-    MessageDefinitionFormat,
-    Nodetype,
-    Qos,
-)
+from rosbags.interfaces import Connection, ConnectionExtRosbag2, MessageDefinition, Nodetype, Qos
 from rosbags.rosbag2.metadata import parse_qos
 from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
@@ -43,8 +37,9 @@ _LARGEST_GROUP = 4 * MOST_BYTES
 _STAMP = (('std_msgs/msg/Header', ('stamp',)), ('builtin_interfaces/msg/Time', ('sec', 'nanosec')))
 
 _UNFINISHED = 'the recording was not finished, its end may be missing ({})'
-_FORMATS = {'ros2msg': MessageDefinitionFormat.MSG, 'ros2idl': MessageDefinitionFormat.IDL}
-_NONE = MessageDefinition(MessageDefinitionFormat.NONE, '')
+_FORMAT = interfaces.MessageDefinitionFormat
+_FORMATS = {'ros2msg': _FORMAT.MSG, 'ros2idl': _FORMAT.IDL}
+_NONE = MessageDefinition(_FORMAT.NONE, '')
 _IDL = '=' * 80 + '\n'
 """Before each of the definitions that a type in IDL needs."""
 
@@ -100,10 +95,8 @@ class BagReader:
                 messages = self.source.messages(connections, start=start, stop=stop)
                 yield from _collect(messages, connections)
 
-    def _mcap_blocks(
-        self, connections: Sequence[Connection], low: int, high: int
-    ) -> Iterator[Block]:
-        wanted = [_wanted(file, connections) for file in self.files]
+    def _mcap_blocks(self, topics: Sequence[Connection], low: int, high: int) -> Iterator[Block]:
+        wanted = [_wanted(file, topics) for file in self.files]
         places = sorted(
             (place.start, part, place)
             for part, file in enumerate(self.files)
@@ -162,10 +155,8 @@ class BagReader:
             for field in needed:
                 if _element(there.get(field)) != _element(expected[field]):
                     what = 'has another type there' if field in there else 'is not in it'
-                    raise BagError(
-                        f"{self.path}: the bag's definition of {msgtype} is not the "
-                        f'expected one: {field} of {name} {what}'
-                    )
+                    text = f"the bag's definition of {msgtype} is not the expected one"
+                    raise BagError(f'{self.path}: {text}: {field} of {name} {what}')
 
 
 def _element(kind: Any) -> Any:
@@ -216,9 +207,8 @@ def damage(path: Path) -> Iterator[None]:
     except LpvError:
         raise
     except Exception as error:  # many kinds
-        raise BagError(
-            f'{path}: cannot be read, the bag is damaged or incomplete ({error_text(error)})'
-        ) from error
+        text = f'cannot be read, the bag is damaged or incomplete ({error_text(error)})'
+        raise BagError(f'{path}: {text}') from error
 
 
 @contextlib.contextmanager
@@ -273,10 +263,8 @@ def _opened(path: Path, stack: ExitStack) -> BagReader:
         connections = _connections_of(files, metadata.hashes if metadata else {})
         whole = [file.path for file in files if file.complete]
     if damages and not any(connection.msgcount for connection in connections):
-        raise BagError(
-            f'{path}: cannot be read, the bag is damaged or incomplete: {damages[-1]}, and '
-            'nothing in it can be recovered'
-        )
+        why = f'{damages[-1]}, and nothing in it can be recovered'
+        raise BagError(f'{path}: cannot be read, the bag is damaged or incomplete: {why}')
     reader = BagReader(path, connections, files, source)
     if metadata is None:  # nobody knows how many messages there were
         reader.cut = [one.name for one in paths if one not in whole]
@@ -312,21 +300,19 @@ def _mcap_files(paths: Sequence[Path], damages: list[str], stack: ExitStack) -> 
     return files
 
 
-def _by_rosbags(
-    path: Path, databases: Sequence[Path], damages: list[str], stack: ExitStack
-) -> AnyReader:
+def _by_rosbags(path: Path, files: list[Path], damages: list[str], stack: ExitStack) -> AnyReader:
     """A bag that rosbags reads; of sqlite3 files that are damaged, copies of what is whole."""
     opened = functools.partial(AnyReader, default_typestore=standard_types())
     try:
-        if any(one.stat().st_size % _page_size(one) for one in databases):
+        if any(one.stat().st_size % _page_size(one) for one in files):
             raise DamageError('it ends within a page')
-        return stack.enter_context(opened(databases if databases and damages else [path]))
+        return stack.enter_context(opened(files if files and damages else [path]))
     except Exception as error:  # of many kinds
-        if not databases:
+        if not files:
             raise
         damages.append(_UNFINISHED.format(error_text(error)))
     folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
-    return stack.enter_context(opened([_whole_part(one, folder) for one in databases]))
+    return stack.enter_context(opened([_whole_part(one, folder) for one in files]))
 
 
 def _whole_part(path: Path, folder: Path) -> Path:
@@ -393,7 +379,6 @@ def _connections_of(files: Iterable[McapFile], hashes: dict[str, str]) -> list[C
 
 @functools.lru_cache(maxsize=64)
 def _profiles(text: str) -> tuple[Qos, ...]:
-    """QoS profiles of a channel."""
     try:
         return tuple(parse_qos(text))
     except Exception:  # many kinds; no result depends on it
@@ -423,7 +408,7 @@ def _types_by(defined: tuple[tuple[str, MessageDefinition, str], ...]) -> Typest
     found = {}
     for name, definition, _ in defined:
         text = definition.data
-        if definition.format == MessageDefinitionFormat.MSG:
+        if definition.format == _FORMAT.MSG:
             found.update(get_types_from_msg(text, name))
             continue
         parts = [part.split('\n', 1)[1] for part in text.split(_IDL)[1:]] or [text]

@@ -19,13 +19,9 @@ from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 from mcap.records import MessageIndex
 from mcap.writer import CompressionType, Writer
-from rosbags.interfaces import (
-    Connection,
-    ConnectionExtRosbag2,
-    MessageDefinition,
-    MessageDefinitionFormat,
-    Qos,
-)
+from rosbags import interfaces
+from rosbags.interfaces import Connection, ConnectionExtRosbag2, Qos
+from rosbags.rosbag2.metadata import dump_qos_v9
 
 from lpv.bag.blocks.message_blocks import RECORD, Block, from_rows
 from lpv.bag.rosbag import metadata
@@ -106,19 +102,17 @@ class _File(Writer):
         """What has been written so far."""
         found = self.statistics
         counts = {t: found.channel_message_counts.get(n, 0) for t, n in self.channels.items()}
-        times = found.message_start_time, found.message_end_time
-        return metadata.Content(
-            (self.name, *times, found.message_count), Counter(counts), self.output.size
-        )
+        span = found.message_start_time, found.message_end_time, found.message_count
+        return metadata.Content((self.name, *span), Counter(counts), self.output.size)
 
     def define(self, topic: Connection) -> None:
-        """Add a topic."""
         kind, text = topic.msgdef
-        encoding = 'ros2msg' if kind == MessageDefinitionFormat.MSG else 'ros2idl'
-        schema = (topic.msgtype, encoding, text.encode())
+        is_msg = kind == interfaces.MessageDefinitionFormat.MSG
+        schema = (topic.msgtype, 'ros2msg' if is_msg else 'ros2idl', text.encode())
         if schema not in self._schemas:
             self._schemas[schema] = self.register_schema(*schema)
-        about = {'offered_qos_profiles': metadata.qos_text(topic), 'topic_type_hash': topic.digest}
+        qos = metadata.dump(dump_qos_v9(metadata.offered_qos(topic))).strip()
+        about = {'offered_qos_profiles': qos, 'topic_type_hash': topic.digest}
         number = self.register_channel(topic.topic, 'cdr', self._schemas[schema], about)
         self.channels[topic.topic] = number
 
@@ -199,7 +193,6 @@ class BagWriter:
 
     @property
     def files(self) -> int:
-        """Number of files so far."""
         return len(self._contents())
 
     def _contents(self) -> list[metadata.Content]:
@@ -209,8 +202,8 @@ class BagWriter:
     @property
     def counts(self) -> dict[str, int]:
         """Messages written, by topic."""
-        counts = [content.counts for content in self._contents()]
-        return {topic: sum(one[topic] for one in counts) for topic in self._topics}
+        contents = self._contents()
+        return {topic: sum(one.counts[topic] for one in contents) for topic in self._topics}
 
     @property
     def size(self) -> int:
@@ -225,7 +218,7 @@ class BagWriter:
         """A topic as `add_topic` announces it; raises where its type cannot be recorded."""
         add_type(self.typestore, msgtype)
         text = self.typestore.generate_msgdef(msgtype, ros_version=2)[0]
-        definition = MessageDefinition(MessageDefinitionFormat.MSG, text)
+        definition = interfaces.MessageDefinition(interfaces.MessageDefinitionFormat.MSG, text)
         digest, ext = self.typestore.hash_rihs01(msgtype), ConnectionExtRosbag2('cdr', [*profiles])
         return Connection(0, topic, msgtype, definition, digest, 0, ext, None)
 
@@ -234,11 +227,10 @@ class BagWriter:
         topic, msgtype = connection.topic, connection.msgtype
         known = self._topics.get(topic)
         if known is not None and known.msgtype != msgtype:
-            raise ConfigError(
-                'topic', f'{topic} has two types, {known.msgtype} and {msgtype}', str(self.path)
-            )
+            reason = f'{topic} has two types, {known.msgtype} and {msgtype}'
+            raise ConfigError('topic', reason, str(self.path))
         if known is None and not connection.msgdef.data:  # as in bags of older distributions
-            self.add_topic(topic, msgtype, getattr(connection.ext, 'offered_qos_profiles', ()))
+            self.add_topic(topic, msgtype, metadata.offered_qos(connection))
         elif known is None:
             self._add(connection)
 
@@ -358,30 +350,29 @@ class BagWriter:
         with contextlib.suppress(OSError), self._noting():
             if not self._failure:
                 file.flush()
-                about = metadata.bag_information(
-                    [file.content], self._topics.values(), self._custom
-                )
-                file.add_metadata('rosbag2', {'serialized_metadata': metadata.dump(about).strip()})
+                about = metadata.dump(self._information(file.content)).strip()
+                file.add_metadata('rosbag2', {'serialized_metadata': about})
                 file.finish()
                 self._sync()
         with contextlib.suppress(OSError), self._noting():
             file.output.file.close()
         self._done.append(file.content)
 
+    def _information(self, *contents: metadata.Content) -> dict[str, Any]:
+        return metadata.bag_information(contents, self._topics.values(), self._custom)
+
     def close(self, known: metadata.Known | None = None) -> str:
         """Finish files and metadata; '', or what could not be written; may be called again."""
         if self._closed:
             return ''
         if known:
-            self._custom[metadata.RECORD_NAME] = json.dumps(
-                known, sort_keys=True, separators=(',', ':')
-            )
+            text = json.dumps(known, sort_keys=True, separators=(',', ':'))
+            self._custom[metadata.RECORD_NAME] = text
         self._finish_file()
         self._closed = True
         if self._failure:
             return f'its last messages or its end ({self._failure.strerror or self._failure})'
-        about = metadata.bag_information(self._done, self._topics.values(), self._custom)
-        text = metadata.dump({'rosbag2_bagfile_information': about})
+        text = metadata.dump({'rosbag2_bagfile_information': self._information(*self._done)})
         try:
             write_whole(self.path / metadata.FILE_NAME, text, self._fsync)
         except OSError as error:

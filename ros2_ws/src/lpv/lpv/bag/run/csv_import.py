@@ -38,7 +38,6 @@ class ColumnMap:
 
     @property
     def columns(self) -> list[str]:
-        """All column names."""
         return [self.time, *(c for columns in self.joints.values() for c in columns if c)]
 
 
@@ -124,9 +123,7 @@ def read_samples(
                 if ''.join(cells[len(header) :]).strip():
                     raise CsvError(f'{line} has more cells than the header: decimal commas?')
                 values = [
-                    [_number(row, n, line, float, s) for n, s in zip(names, scale)]
-                    if any(names)
-                    else []
+                    [_number(row, n, line, float, s) for n, s in zip(names, scale) if any(names)]
                     for names, scale in vectors
                 ]
                 # Decimal: a float of epoch seconds is 200 ns off; an int may have too many digits.

@@ -26,11 +26,7 @@ class Decoder:
     """Decodes numbers at some paths; ``choose`` gives a shape's columns or raises SampleError."""
 
     def __init__(
-        self,
-        reader: BagReader,
-        msgtype: str,
-        paths: Sequence[str],
-        choose: Callable[[Any], Columns],
+        self, reader: BagReader, msgtype: str, paths: Sequence[str], choose: Callable[..., Columns]
     ) -> None:
         self._reader, self._msgtype, self._choose = reader, msgtype, choose
         self._paths, self._attempts = tuple(paths), _MOST_ATTEMPTS

@@ -19,17 +19,14 @@ from lpv.core.serial_arm.diagnosis.alarms import Alarm, AlarmEvent, Mode, subjec
 from lpv.core.support.errors import SampleError
 from lpv.core.support.timestamps import NANOSECONDS, to_nanoseconds
 
+_STATE = 'position velocity compensated_position measured_position measured_velocity mode'
 # Stream: (message type, array fields); the name is the last part of the topic's usual name.
 STREAMS: dict[str, tuple[str, tuple[str, ...]]] = {
     name: (msgtype, tuple(fields.split()))
     for name, msgtype, fields in (
         ('joint_states', 'sensor_msgs/msg/JointState', 'position velocity effort'),
         ('torque_command', 'lpv_msgs/msg/TorqueCommand', 'torque safe_stop'),
-        (
-            'state_estimate',
-            'lpv_msgs/msg/StateEstimate',
-            'position velocity compensated_position measured_position measured_velocity mode',
-        ),
+        ('state_estimate', 'lpv_msgs/msg/StateEstimate', _STATE),
         ('fault_estimate', 'lpv_msgs/msg/FaultEstimate', 'estimate bound threshold state alarm'),
         ('reference', 'lpv_msgs/msg/JointReference', 'position velocity acceleration tip_position'),
         ('ground_truth', 'lpv_msgs/msg/GroundTruth', 'position velocity torque fault disturbance'),
@@ -130,10 +127,8 @@ def find_topic(
     if found:
         return found[0].topic
     there = ', '.join(sorted({f'{c.topic} ({c.msgtype})' for c in reader.connections}))
-    raise BagError(
-        f'{reader.path}: the bag has no topic {wanted or name!r} of type '
-        f'{_TYPES[name]}; it has {there or "no topic at all"}'
-    )
+    text = f'the bag has no topic {wanted or name!r} of type {_TYPES[name]}'
+    raise BagError(f'{reader.path}: {text}; it has {there or "no topic at all"}')
 
 
 def find_connections(
@@ -171,10 +166,8 @@ def _ambiguous(reader: BagReader, msgtype: str, carried: dict[str, list[str]]) -
         topics = [f'{topic} ({", ".join(own) or "no joint"})' for topic, own in carried.items()]
     elif first:
         what = f'the joints {", ".join(first)}'
-    return BagError(
-        f'{reader.path}: several topics carry {what}: {", ".join(topics)}; '
-        'choose that of the measurements (--topic)'
-    )
+    text = f'several topics carry {what}: {", ".join(topics)}'
+    return BagError(f'{reader.path}: {text}; choose that of the measurements (--topic)')
 
 
 def _joints_of(reader: BagReader, connection: Connection) -> list[str]:
@@ -215,7 +208,7 @@ def load_run(
         record = RunRecord(topics={name: c[0].topic for name, c in chosen.items()})
         for connection in reader.connections:
             record.counts[connection.topic] += connection.msgcount
-        _read_streams(reader, chosen, record, joint_names)
+        _read_streams(reader, chosen, record, joint_names or ())
         for warning in record.warnings:
             _LOG.warning('%s: %s', path, warning)
         record.warnings = [*reader.warnings, *record.warnings]
@@ -287,14 +280,11 @@ class _Stream:
 
 
 def _read_streams(
-    reader: BagReader,
-    chosen: dict[str, list[Connection]],
-    record: RunRecord,
-    joint_names: Sequence[str] | None,
+    reader: BagReader, chosen: dict[str, list[Connection]], record: RunRecord, joints: Sequence[str]
 ) -> None:
     """Fill a record with all messages of some streams; BagError if measurements are missing."""
     pairs = [(name, c) for name, connections in chosen.items() for c in connections]
-    streams = {name: _Stream(reader, name, joint_names or ()) for name in chosen if name != ALARMS}
+    streams = {name: _Stream(reader, name, joints) for name in chosen if name != ALARMS}
     alarms: dict[tuple[int, int, int, str], RecordedAlarm] = {}
     for block in reader.blocks([connection for _, connection in pairs]):
         names = np.array([list(chosen).index(name) for name, _ in pairs])[block.connection]
