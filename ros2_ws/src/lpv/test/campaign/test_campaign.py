@@ -19,11 +19,13 @@ from lpv.campaign.execution import execute
 from lpv.campaign.execution.execute import WorkerError, chunks_of, worker_pool
 from lpv.campaign.execution.run_metrics import figures
 from lpv.campaign.execution.runs import plan_run, run_one
-from lpv.campaign.plan import random_paths, spec
+from lpv.campaign.plan import spec
 from lpv.campaign.plan.campaign import Campaign, resolve
+from lpv.campaign.plan.random_paths import random_path
 from lpv.core.control.path import CartesianPath, PlanarWaypoints, SerialPath
 from lpv.core.serial_arm.arm_file import save_arm
 from lpv.core.simulation.closed_loop import run_closed_loop
+from lpv.core.simulation.transport import Transport
 from lpv.core.support import config, resources
 from lpv.core.uio.model.joints import JointMap
 from lpv.core.uio.planar import planar_model
@@ -143,20 +145,23 @@ def test_given_a_plan_when_sampled_then_each_combination_or_stratum_comes_once_a
 def test_given_random_paths_when_made_then_they_keep_inside_the_certified_region(arm):
     planar = planar_model(arm)
     for seed in range(5):
-        times, points = random_paths.random_planar_path(arm, np.random.default_rng(seed), 10.0)
+        found = random_path(arm, np.random.default_rng(seed), 10.0)['waypoints']
+        times, points = [p['t'] for p in found], tuple((p['x'], p['y']) for p in found)
         path = CartesianPath(arm, times, PlanarWaypoints(points)).sample(np.linspace(0, 10, 2000))
         cosine = planar.sign * np.cos(JointMap(planar).absolute_position(path.position))
         assert cosine.min() > max(planar.cos_min) and np.abs(path.velocity).max() < 2.1
     with pytest.raises(ConfigError, match='more than 1 s'):
-        random_paths.random_path(arm, np.random.default_rng(1), 0.5)
+        random_path(arm, np.random.default_rng(1), 0.5)
 
 
 @pytest.mark.parametrize('name', ['ur10', 'panda'])
 def test_given_random_joint_paths_when_made_then_the_arm_can_follow_them(name):
     arm = load_arm(name)
     for seed in range(3):
-        times, points = random_paths.random_joint_path(arm, np.random.default_rng(seed), 10.0)
-        path = SerialPath(arm, times, points).sample(np.linspace(0.0, 10.0, 501))
+        found = random_path(arm, np.random.default_rng(seed), 10.0)['waypoints']
+        path = SerialPath(arm, *zip(*((p['t'], p['joints']) for p in found))).sample(
+            np.linspace(0.0, 10.0, 501)
+        )
         share = np.abs(path.velocity).max(axis=0) / np.array(arm.velocity_limit)
         assert share.min() > 0.05 and share.max() < 0.65
 
@@ -178,7 +183,7 @@ def test_given_factors_when_a_run_is_planned_then_each_arrives_where_it_acts():
     }  # fmt: skip
     assert vars(scenario).items() >= arrived.items()
     assert plan.arm.sample_time == 0.004 and plan.parameters.clear_dwell == 0.05
-    assert (plan.delay, plan.loss, plan.compensation) == (2, 0.1, 'always')
+    assert plan.transport == Transport(2, 0.1) and plan.values['compensation'] == 'always'
     faults = [Fault(name, 'drift', 1.0, 0.5, rate=-0.2) for name in plan.arm.sensor_names]
     assert list(scenario.faults) == faults
     plan.gains.check_arm(plan.arm)

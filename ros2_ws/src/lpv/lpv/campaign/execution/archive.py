@@ -79,7 +79,6 @@ class Archive:
         return sha256_of({name: data[name] for name in data if name not in ('root', 'software')})
 
     def monitor(self) -> SerialSensorMonitor:
-        """A fresh monitor."""
         return SerialSensorMonitor('/uio', self.arm, self._diagnosis, self._gains, **self._sampling)
 
     def row(self, name: str) -> dict[str, Any]:
@@ -152,20 +151,17 @@ class BagFigures:
             np.divide(np.abs(fault.estimate), fault.threshold, out=score, where=known)
             self._score = np.maximum(self._score, score.max(axis=0))
             diagnosed = np.isin(fault.state, _DIAGNOSED)
-            sure, threshold = (
-                np.where(diagnosed, x, 0.0) for x in (fault.estimate, fault.threshold)
-            )
+            known = fault.estimate, fault.threshold
+            sure, threshold = (np.where(diagnosed, values, 0.0) for values in known)
             self._largest = np.maximum(self._largest, np.abs(sure).max(axis=0))
             self._sums += [part.sum(axis=0) for part in (diagnosed, sure, sure**2, threshold)]
         self._samples += len(rows)
         if self._samples > MOST_SAMPLES:
             self._answers.clear()
             return
-        kept = {
-            **{'stamp': stamps[rows], 'inconsistent': answers.inconsistent[rows]},
-            **{'estimate': state.position, 'fault_estimate': fault.estimate},
-            'threshold': fault.threshold,
-        }
+        kept = {'stamp': stamps[rows], 'inconsistent': answers.inconsistent[rows]}
+        kept |= {'estimate': state.position, 'fault_estimate': fault.estimate}
+        kept['threshold'] = fault.threshold
         self._answers.append({name: np.array(values) for name, values in kept.items()})
 
     def _add_time(self, table: np.ndarray, time: np.ndarray) -> None:
@@ -179,9 +175,8 @@ class BagFigures:
         self._add_time(self._pending, np.full(len(self._pending), self._arm.sample_time))
         self._pending = self._pending[:0]
         start, end = self._stamps or (0, 0)
-        mean, square, threshold = self._sums[1:] / np.where(
-            self._sums[0] > 0, self._sums[0], np.nan
-        )
+        counts = np.where(self._sums[0] > 0, self._sums[0], np.nan)
+        mean, square, threshold = self._sums[1:] / counts
         row: dict[str, Any] = self._against_truth(bag, result)
         raised = [event.sensor for event in result.events if event.event == AlarmEvent.RAISED]
         row.update(
@@ -215,9 +210,8 @@ class BagFigures:
         seen = (stamps >= self._stamps[0]) & (stamps <= self._stamps[1])
         truth = {name: values[seen] for name, values in record.streams['ground_truth'].items()}
         stamps = stamps[seen]
-        answers = {
-            name: np.concatenate([p[name] for p in self._answers]) for name in self._answers[0]
-        }
+        names = self._answers[0]
+        answers = {name: np.concatenate([p[name] for p in self._answers]) for name in names}
         # Of several answers with one stamp the last one counts.
         known, last = np.unique(answers.pop('stamp')[::-1], return_index=True)
         answers = {name: values[::-1][last] for name, values in answers.items()}
@@ -309,11 +303,8 @@ def find_bags(root: str | Path, leave_out: Sequence[Path] = ()) -> dict[str, lis
     skipped, found = {Path(path).resolve() for path in leave_out}, {}
     for name, folders, files in os.walk(root):
         folder = Path(name)
-        folders[:] = [
-            name
-            for name in folders
-            if not name.startswith('.') and (folder / name).resolve() not in skipped
-        ]
+        shown = (name for name in folders if not name.startswith('.'))
+        folders[:] = [name for name in shown if (folder / name).resolve() not in skipped]
         for path, parts in _bags_in(folder, sorted(files)):
             bag = path.relative_to(root).as_posix()
             found[bag] = _fingerprint(bag, parts)
@@ -330,12 +321,8 @@ def _bags_in(folder: Path, files: list[str]) -> list[tuple[Path, list[Path]]]:
             named = b'rosbag2_bagfile_information' in file.read(4096)
     if named:
         return [(folder, [folder / FILE_NAME, *storage])]
-    own = [
-        path
-        for path in storage
-        if path.suffix == '.mcap'
-        and folder.name in (path.stem, path.stem.rstrip('0123456789').rstrip('_'))
-    ]
+    mcap = [path for path in storage if path.suffix == '.mcap']
+    own = [p for p in mcap if folder.name in (p.stem, p.stem.rstrip('0123456789').rstrip('_'))]
     return [(folder, own)] * bool(own) + [(path, [path]) for path in storage if path not in own]
 
 

@@ -43,7 +43,7 @@ def write_run_bag(plan: RunPlan, run: Run, out: str | Path) -> None:
         own = {
             'lockstep': True,
             'diagnosis': asdict(plan.parameters),
-            'compensation': plan.compensation,
+            'compensation': plan.values['compensation'],
             'substeps': plan.substeps,
         }
         write_parameters(whole / 'parameters.yaml', own)
@@ -57,26 +57,20 @@ def write_run_bag(plan: RunPlan, run: Run, out: str | Path) -> None:
 
 def differences(stored: dict[str, Any], found: dict[str, Any]) -> list[str]:
     """Figures that are not what the results of the campaign say."""
-    both = {name: (stored[name], found[name]) for name in found if name in stored}
-    return [
-        name
-        for name, (one, two) in both.items()
-        if one != two
-        if not (float is type(one) is type(two) and np.isclose(one, two, 1e-9, 1e-12, True))
-    ]
+
+    def differ(one: Any, two: Any) -> bool:
+        is_close = float is type(one) is type(two) and np.isclose(one, two, 1e-9, 1e-12, True)
+        return one != two and not is_close
+
+    return [name for name in found if name in stored and differ(stored[name], found[name])]
 
 
 def write_signals(arm: SerialArm, run: Run, path: str | Path) -> None:
     """Write measurements, commands, references and truth of a run as a bag, without answers."""
     stop = run.safe_stop
     command = np.where(stop[:, None], 0.0, run.command)
-    truth = {
-        'position': run.position,
-        'velocity': run.velocity,
-        'torque': run.effort,
-        'fault': run.fault,
-        'disturbance': run.disturbance,
-    }
+    known = ('position', 'velocity', 'fault', 'disturbance')
+    truth = {name: getattr(run, name) for name in known} | {'torque': run.effort}
     names = ('position', 'velocity', 'acceleration')
     reference = dict(zip(names, run.path[:, run.place])) | {'tip_position': run.tip[run.place]}
     kept, everywhere = ~run.lost, np.ones(len(run.time), bool)

@@ -19,14 +19,8 @@ from lpv.core.simulation.transport import Transport
 from lpv.core.support.errors import LpvError
 from lpv.core.uio.certificate.gains import Gains
 
-_PLANT = {
-    'plant': 'model',
-    'payload': 'payload',
-    'friction': 'friction_factor',
-    'noise': 'noise_factor',
-    'disturbance': 'disturbance_factor',
-    'parameter_error': 'parameter_error',
-}
+_PLANT = {'plant': 'model', 'payload': 'payload', 'parameter_error': 'parameter_error'}
+_PLANT |= {name: f'{name}_factor' for name in ('friction', 'noise', 'disturbance')}
 """Factors that replace a field of the scenario's plant."""
 
 
@@ -41,23 +35,19 @@ class RunPlan:
     files: dict  # Content of the run's ``arm`` and ``scenario`` files
     scenario: Scenario  # The latter, parsed
     parameters: DiagnosisParameters  # Tuning of the diagnosis
-    compensation: str  # What the loop closes on
     substeps: int  # Least number of plant steps per sample
-    delay: int  # Samples from a measurement to the effect of its command
-    loss: float  # Probability that a measurement is lost
+
+    @property
+    def transport(self) -> Transport:
+        """How late commands are, and how many measurements are lost."""
+        return Transport(round(self.values['command_delay']), self.values['sample_loss'])
 
     def simulate(self, faults: bool = True) -> Run:
         """Run the closed loop; ``faults=False``: its healthy twin."""
         scenario = self.scenario if faults else replace(self.scenario, faults=())
-        return run_closed_loop(
-            self.arm,
-            scenario,
-            self.gains,
-            self.compensation,
-            parameters=self.parameters,
-            substeps=self.substeps,
-            transport=Transport(self.delay, self.loss),
-        )
+        loop = self.arm, scenario, self.gains, self.values['compensation']
+        others: dict[str, Any] = {'substeps': self.substeps, 'transport': self.transport}
+        return run_closed_loop(*loop, parameters=self.parameters, **others)
 
 
 def plan_run(campaign: Campaign, number: int) -> RunPlan:
@@ -88,24 +78,13 @@ def plan_run(campaign: Campaign, number: int) -> RunPlan:
     if 'fault.kind' in spec.factors:
         content['faults'] = _faults(arm.sensor_names, values, rng)
     tuning = {name.partition('.')[2]: values[name] for name in TUNING if name in values}
-    return RunPlan(
-        number,
-        values,
-        arm,
-        campaign.gains(values['design'], time),
-        {'arm': to_mapping(arm), 'scenario': content},
-        parse_scenario(content, f'run {number}'),
-        DiagnosisParameters(**tuning),
-        values['compensation'],
-        spec.substeps,
-        round(values['command_delay']),
-        values['sample_loss'],
-    )
+    gains, files = campaign.gains(values['design'], time), {'arm': to_mapping(arm)}
+    scenario = parse_scenario(content, f'run {number}')
+    files['scenario'], parameters = content, DiagnosisParameters(**tuning)
+    return RunPlan(number, values, arm, gains, files, scenario, parameters, spec.substeps)
 
 
-def _faults(
-    names: tuple[str, ...], values: dict[str, Any], rng: np.random.Generator
-) -> list[dict[str, Any]]:
+def _faults(names: tuple[str, ...], values: dict[str, Any], rng: np.random.Generator) -> list[Any]:
     kind, signs = values['fault.kind'], rng.choice([-1.0, 1.0], 2).tolist()
     if kind == NO_FAULT:
         return []

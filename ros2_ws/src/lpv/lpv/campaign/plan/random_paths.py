@@ -30,17 +30,12 @@ def random_path(arm: SerialArm, rng: np.random.Generator, duration: float) -> di
     """``path`` of a scenario: a random motion, in the region if any; ConfigError without."""
     if duration <= 1.0:
         raise ConfigError('duration', f'a random path needs more than 1 s, got {duration:g}')
-    if arm.lpv is not None:
-        times, points = random_planar_path(arm, rng, duration)
-        return {'waypoints': [{'t': t, 'x': x, 'y': y} for t, (x, y) in zip(times, points)]}
-    times, points = random_joint_path(arm, rng, duration)
-    return {'waypoints': [{'t': t, 'joints': list(row)} for t, row in zip(times, points)]}
+    find = _find_in_region if arm.lpv is not None else _find_within_limits
+    return {'waypoints': find(arm, rng, duration)}
 
 
-def random_planar_path(
-    arm: SerialArm, rng: np.random.Generator, duration: float
-) -> tuple[Any, ...]:
-    """Times [s] and points (x, y) [m] of a path in an arm's region; ConfigError without."""
+def _find_in_region(arm: SerialArm, rng: np.random.Generator, duration: float) -> list[Any]:
+    """Waypoints of the tip of a path in an arm's region."""
     planar = planar_model(arm)
     joints, least = JointMap(planar), _MARGIN * max(planar.cos_min)
     largest, turn = np.arccos(min(least, 1.0)), 0.0 if planar.sign > 0.0 else np.pi
@@ -53,25 +48,20 @@ def random_planar_path(
         points = forward(np.column_stack([turn + one + np.pi / 2.0, bend]), planar.lengths)
         try:
             waypoints = PlanarWaypoints(tuple(map(tuple, points.tolist())))
-            path = CartesianPath(arm, times.tolist(), waypoints).sample(
-                np.linspace(0.0, duration, 400)
-            )
+            planned = CartesianPath(arm, times.tolist(), waypoints)
+            path = planned.sample(np.linspace(0.0, duration, 400))
         except LpvError:
             continue
         cosines = planar.sign * np.cos(joints.absolute_position(path.position))
         if cosines.min() > least and np.abs(path.velocity).max() < _FASTEST:
-            return tuple(times.tolist()), tuple(map(tuple, points.tolist()))
-    raise ConfigError(
-        'path',
-        f'no random path of {duration:g} s below {_FASTEST:g} rad/s found in '
-        f'the region of arm {arm.name!r}',
-    )
+            pairs = zip(times.tolist(), points.tolist())
+            return [{'t': time, 'x': x, 'y': y} for time, (x, y) in pairs]
+    what = f'no random path of {duration:g} s below {_FASTEST:g} rad/s'
+    raise ConfigError('path', f'{what} found in the region of arm {arm.name!r}')
 
 
-def random_joint_path(
-    arm: SerialArm, rng: np.random.Generator, duration: float
-) -> tuple[tuple[float, ...], tuple[tuple[float, ...], ...]]:
-    """Times [s] and joint positions [rad] within an arm's limits; ConfigError without room."""
+def _find_within_limits(arm: SerialArm, rng: np.random.Generator, duration: float) -> list[Any]:
+    """Waypoints of the joints of a path within an arm's limits."""
     careful, low, high = _with_margins(arm)
     steps = max(1, round((duration - 1.0) / float(rng.uniform(*_SEGMENT))))
     times = np.linspace(0.5, duration - 0.5, steps + 1)
@@ -87,7 +77,7 @@ def random_joint_path(
             SerialPath(careful, times.tolist(), points)
         except LpvError:
             continue
-        return tuple(times.tolist()), tuple(tuple(point.tolist()) for point in points)
+        return [{'t': t, 'joints': row.tolist()} for t, row in zip(times.tolist(), points)]
     raise ConfigError('path', f'no random path of {duration:g} s found for {arm.name}')
 
 

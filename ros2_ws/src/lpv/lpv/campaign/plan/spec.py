@@ -28,8 +28,7 @@ def _limits(kind: type, name: str) -> tuple[float, float]:
 NUMBERS = {
     **{f'fault.{name}': _limits(Fault, name) for name in ('size', 'rate', 'onset', 'duration')},
     'fault.sign': (-1.0, 1.0),
-    'noise': (0.0, 1e3),
-    'disturbance': (0.0, 1e3),
+    **dict.fromkeys(('noise', 'disturbance'), (0.0, 1e3)),
     **dict.fromkeys(('mass_1', 'mass_2', 'inertia_1', 'inertia_2'), (1e-3, 1e3)),
     'parameter_error': (0.0, 0.5),
     'payload': _limits(Scenario, 'payload'),
@@ -47,12 +46,8 @@ DEFAULTS: dict[str, Any] = {
     'path': 'scenario',
     'compensation': 'confirmed',
     'fault.kind': NO_FAULT,
-    'fault.size': 0.0,
-    'fault.rate': 0.0,
     'fault.onset': 5.0,
-    'fault.duration': 0.0,
-    'command_delay': 0.0,
-    'sample_loss': 0.0,
+    **dict.fromkeys((*_BY_KIND, 'command_delay', 'sample_loss'), 0.0),
 }
 """Where the file is silent; None: as scenario or arm file, the first one, a sign by chance."""
 TUNING = {f'diagnosis.{one.name}': one.limits for one in DIAGNOSIS if one.limits}

@@ -123,9 +123,8 @@ def found_from(sizes: np.ndarray, found: np.ndarray) -> float:
     # Faults of one size count together, whatever their order.
     last = np.append(np.diff(sizes[order]) != 0.0, True)[: len(order)]
     enough = np.flatnonzero((shares >= LEVEL) & last)
-    return (
-        float(sizes[order][enough[-1]]) if len(order) >= _FEWEST_CASES and len(enough) else math.nan
-    )
+    is_known = len(order) >= _FEWEST_CASES and len(enough)
+    return float(sizes[order][enough[-1]]) if is_known else math.nan
 
 
 def trends(results: Results) -> list[dict[str, Any]]:

@@ -41,6 +41,7 @@ _CLASSES, _LEVELS = 8, 12
 """Classes of sizes, and values of a factor, that a table or figure has room for."""
 _MOST = 10
 """Rows of tables that are examples; all are in the Parquet file."""
+_ALONE = 'no alarm of another sensor'
 _MOST_BAGS = 500
 """Rows of a table of bags; all are in the Parquet file."""
 
@@ -223,10 +224,8 @@ def confusion(truth: np.ndarray, said: np.ndarray, order: Sequence[str]) -> dict
 def _estimates(results: Results) -> list[dict[str, Any]]:
     """RMS error of each sensor's estimate, RMS without truth, and mean threshold."""
     truth = np.isfinite(results.each('error_rms')).any()
-    values, thresholds = (
-        results.each(name)
-        for name in (('error_rms', 'mean_threshold') if truth else ('fault_rms', 'threshold_mean'))
-    )
+    names = ('error_rms', 'mean_threshold') if truth else ('fault_rms', 'threshold_mean')
+    values, thresholds = map(results.each, names)
     return [
         {
             'sensor': sensor,
@@ -255,9 +254,8 @@ def _groups(work: Any, results: Results) -> list[dict[str, Any]]:
             group = {'value': value, 'count': part.count, **_overall(part)}
             group['delay'] = spread(part.number('detection_delay'))
             group['false'] = _alarms(part, False, False)[0]
-            tracking = {'rms': 'rms', 'during': 'rms_during', 'ratio': 'ratio'}
-            for name, column in tracking.items():
-                group[name] = spread(part.number(f'tracking_{column}')[well])
+            for name in ('rms', 'rms_during', 'ratio'):
+                group[name.removeprefix('rms_')] = spread(part.number(f'tracking_{name}')[well])
             groups.append(group)
         if groups:
             tables.append({'factor': factor, 'groups': groups})
@@ -282,21 +280,20 @@ def _worst(results: Results, folder: Path) -> list[dict[str, Any]]:
         ('Most false alarms', '', np.where(alarms > 0.0, alarms, np.nan)),
     )
     numbers = results.number('number')
-    found = []
+    found, said = [], results.text('said_kind')
     for title, unit, values in lists:
         order = np.lexsort((numbers, -np.nan_to_num(values, nan=-math.inf)))
-        chosen = [k for k in order if not np.isnan(values[k])][:_MOST]
         rows = [
             {
                 'number': int(numbers[k]),
                 'kind': results.kind[k],
                 'sensor': results.sensor[k],
                 'size': float(size[k]),
-                'said': results.text('said_kind')[k],
+                'said': said[k],
                 'value': float(values[k]),
                 'command': command(folder, int(numbers[k])),
             }
-            for k in chosen
+            for k in [k for k in order if not np.isnan(values[k])][:_MOST]
         ]
         found.append({'title': title, 'unit': unit, 'runs': rows})
     return found
@@ -314,10 +311,8 @@ def _ranking(results: Results) -> list[dict[str, Any]]:
     for row in results.table.to_pylist():
         scores = [row[f'score_{i + 1}'] or 0.0 for i in range(len(results.sensors))]
         alarms = [f'{a["count"]} {a["kind"]} of {a["sensor"]}' for a in row['alarm_list']]
-        found = {
-            name: row[name]
-            for name in ('bag', 'unit', 'observed', 'inconsistent_time', 'warnings', 'alarms')
-        }
+        names = ('bag', 'unit', 'observed', 'inconsistent_time', 'warnings', 'alarms')
+        found = {name: row[name] for name in names}
         rows.append({**found, 'alarm_text': ', '.join(alarms), 'score': max(scores)})
     return sorted(rows, key=suspicion, reverse=True)
 
@@ -338,9 +333,7 @@ def _tiles(numbers: dict[str, Any], bags: bool) -> list[Tile]:
     if (found := overall['detected'])['cases']:
         tiles += [
             Tile('faults detected', percent(found), f'of {found["cases"]}'),
-            Tile(
-                'detected and isolated', percent(overall['isolated']), 'no alarm of another sensor'
-            ),
+            Tile('detected and isolated', percent(overall['isolated']), _ALONE),
         ]
     if overall['stable']['cases']:
         unstable = overall['stable']['cases'] - overall['stable']['hits']
@@ -368,44 +361,33 @@ _TEXT = {'number': number, 'percent': percent, 'size': _size}
 def print_summary(numbers: dict[str, Any], console: Console) -> None:
     """Show the main figures on the terminal."""
     head, overall = numbers['head'], numbers['overall']
-    console.print(
-        f'{head["name"]}: {head["count"]} {head["what"]}, {head["hours"]:.3g} h', markup=False
-    )
-    if numbers['detection']:
-        of_faults = ('>cases', '>found', '>isolated', '>delay', '>(95%)', '>95% from')
-        print_grid(console, ('fault', 'sensor', *of_faults), [
-            (e['kind'], e['sensor'], str(e['detected']['cases']), percent(e['detected']),
-             percent(e['isolated']), seconds(e['delay']['median']), seconds(e['delay']['high']),
-             _size(e))
-            for e in numbers['detection']
-        ])  # fmt: skip
+    console.print(f'{head["name"]}: {head["count"]} {head["what"]}, {head["hours"]:.3g} h')
+    of_faults = ('>cases', '>found', '>isolated', '>delay', '>(95%)', '>95% from')
+    print_grid(console, ('fault', 'sensor', *of_faults), [
+        (e['kind'], e['sensor'], str(e['detected']['cases']), percent(e['detected']),
+         percent(e['isolated']), seconds(e['delay']['median']), seconds(e['delay']['high']),
+         _size(e))
+        for e in numbers['detection']
+    ])  # fmt: skip
     print_grid(console, ('alarms', '>number', '>hours', '>per hour', '>95% interval'), [
         (rate['name'], str(rate['events']), number(rate['hours']), number(rate['rate']),
          f'{number(rate["low"])} to {number(rate["high"])}')
         for rate in numbers['alarms'] if rate['hours']
     ])  # fmt: skip
     if overall['stable']['cases']:
-        console.print(
-            f'stable: {percent(overall["stable"])}, safe stops {overall["safe_stops"]} in '
-            f'{overall["stopped"]} runs'
-        )
-    if numbers['stops']:
-        print_grid(console, ('reason of safe stops', '>runs', 'first of them'), [
-            (row['reason'], str(row['runs']), ', '.join(map(str, row['numbers'])))
-            for row in numbers['stops']
-        ])  # fmt: skip
-    if numbers['bags']:
-        print_grid(console, ('most suspicious', 'arm', 'alarms', '>estimate / threshold'), [
-            (row['bag'], row['unit'] or '-', row['alarm_text'] or 'none', number(row['score']))
-            for row in numbers['bags'][:_MOST]
-        ])  # fmt: skip
-    for trend in numbers['trends']:
-        if trend['clear']:
-            console.print(
-                f'trend   {trend["unit"] or "-"}, {trend["sensor"]}: {trend["slope"]:+.2e} '
-                f'{trend["position_unit"]} per day, reaches its threshold in '
-                f'{number(trend["days_left"])} days',
-                markup=False,
-            )
+        stops = f'safe stops {overall["safe_stops"]} in {overall["stopped"]} runs'
+        console.print(f'stable: {percent(overall["stable"])}, {stops}')
+    print_grid(console, ('reason of safe stops', '>runs', 'first of them'), [
+        (row['reason'], str(row['runs']), ', '.join(map(str, row['numbers'])))
+        for row in numbers['stops']
+    ])  # fmt: skip
+    print_grid(console, ('most suspicious', 'arm', 'alarms', '>estimate / threshold'), [
+        (row['bag'], row['unit'] or '-', row['alarm_text'] or 'none', number(row['score']))
+        for row in numbers['bags'][:_MOST]
+    ])  # fmt: skip
+    for one in (trend for trend in numbers['trends'] if trend['clear']):
+        change = f'{one["slope"]:+.2e} {one["position_unit"]} per day'
+        left = f'reaches its threshold in {number(one["days_left"])} days'
+        console.print(f'trend   {one["unit"] or "-"}, {one["sensor"]}: {change}, {left}')
     for row in numbers['failures'][:_MOST]:
-        console.print(f'failed  {row["bag"]}: {row["error"]}', markup=False)
+        console.print(f'failed  {row["bag"]}: {row["error"]}')

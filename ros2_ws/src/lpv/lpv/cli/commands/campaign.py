@@ -10,6 +10,7 @@ from lpv.campaign.execution.execute import ResultsFolder, chunks_of, worker_pool
 from lpv.campaign.execution.runs import repeat
 from lpv.campaign.plan.campaign import Campaign, load_campaign
 from lpv.cli.progress import bar
+from lpv.core.simulation.transport import Transport
 from lpv.core.support.errors import ConfigError, LpvError
 from lpv.report.table import print_grid
 
@@ -29,10 +30,8 @@ def run(arguments: argparse.Namespace) -> int:
     table = folder.rows(chunks)
     missing = campaign.spec.runs - table.num_rows
     if missing:
-        console.print(
-            f'{missing} of {campaign.spec.runs} runs are missing: the same campaign file '
-            f'with --out {folder.path} runs them'
-        )
+        remedy = f'the same campaign file with --out {folder.path} runs them'
+        console.print(f'{missing} of {campaign.spec.runs} runs are missing: {remedy}')
     else:
         folder.finish(table)
         console.print(f'results: {folder.file}')
@@ -101,9 +100,8 @@ def _run_to_bag(
 
     number, runs = arguments.run, campaign.spec.runs
     if number is None or arguments.bag is None:
-        raise ConfigError(
-            '--run', 'and --bag must be given together: which run, and the bag to write'
-        )
+        reason = 'and --bag must be given together: which run, and the bag to write'
+        raise ConfigError('--run', reason)
     if not 0 <= number < runs:
         raise ConfigError('--run', f'must lie within 0 and {runs - 1}, got {number}')
     plan, run, found = repeat(campaign, number)
@@ -112,20 +110,17 @@ def _run_to_bag(
     print_grid(console, ('figure', 'results', 'now'), rows, f'run {number}')
     wrong = [] if stored is None else differences(stored, found)
     if wrong:
-        raise LpvError(
-            f'{folder.path}: run {number} gives another {", ".join(wrong)} now; the results are of '
-            'another version of this software'
-        )
+        why = 'the results are of another version of this software'
+        raise LpvError(f'{folder.path}: run {number} gives another {", ".join(wrong)} now; {why}')
     bag = arguments.bag
     write_run_bag(plan, run, bag)
     files = f'{bag} --arm {bag}/arm.yaml'
     gains = f' --gains {bag}/gains.yaml' if plan.gains is not None else ''
     console.print(f'bag     {bag}\nreport  lpv report {files} --scenario {bag}/scenario.yaml')
     console.print(f'replay  lpv replay {files}{gains} --parameters {bag}/parameters.yaml')
-    if plan.delay or plan.loss:
-        console.print(
-            'The graph does not repeat this run: it has neither delayed commands nor lost samples.'
-        )
+    if plan.transport != Transport():
+        why = 'it has neither delayed commands nor lost samples'
+        console.print(f'The graph does not repeat this run: {why}.')
     return 0
 
 

@@ -5,10 +5,9 @@ import contextlib
 import copy
 import json
 import math
-import re
 import warnings
 from collections.abc import Callable
-from dataclasses import fields, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -43,7 +42,6 @@ _TOLERANCE, _RESAMPLES = 0.02, 2000
 """Share of the cost that a change has to gain; resamples, 50 of which are beyond an end of 95 %."""
 _DIAGNOSIS = {'diagnosis.sigmas': 3.0, 'diagnosis.hours_between_false_alarms': 1.0}
 """Least values: below its bound a threshold means nothing, whatever a campaign says."""
-_FIELD = re.compile(r'(observer|controller|diagnosis)\.(\w+)(?:\[(\d)\])?')
 
 
 class _Bench:
@@ -60,13 +58,26 @@ class _Bench:
         first = self.campaign.spec.designs[0]
         self._requirement = load_requirement(bringup_file('requirements', first, path.parent))
         self._data = read_yaml(self._requirement.source)
-        self._parts = {'observer': self._requirement.observer,
-                       'controller': self._requirement.controller,
-                       'diagnosis': DiagnosisParameters()}  # fmt: skip
+        parts = {'observer': self._requirement.observer,
+                 'controller': self._requirement.controller,
+                 'diagnosis': DiagnosisParameters()}  # fmt: skip
+        # Of each number the part, the field, its value, and places where that has several.
+        self._known: dict[str, tuple[str, str, Any, list[int]]] = {}
+        for part, of in parts.items():
+            for field, value in vars(of).items():
+                several = isinstance(value, tuple)
+                if isinstance(value, float) or (several and len({*value}) == 1):  # one for all
+                    places = [*range(len(value))] if several else []
+                    self._known[f'{part}.{field}'] = part, field, value, places
+                for k in range(len(value)) if several else ():
+                    self._known[f'{part}.{field}[{k}]'] = part, field, value, [k]
         self.ranges = dict(self._range(text) for text in arguments.search)
-        fields_of = {name: self._field(name) for name in self.ranges}
-        self.base = {name: v[k[0]] if k else v for name, (_, _, v, k) in fields_of.items()}
+        self.base = {}
         for name, (low, high) in self.ranges.items():
+            if name not in self._known:
+                raise ConfigError(f'--search {name}', f'is no number of {", ".join(self._known)}')
+            _, _, value, places = self._known[name]
+            self.base[name] = value[places[0]] if places else value
             if not low <= self.base[name] <= high:
                 reason = f'must hold {self.base[name]:g}, as it is now'
                 raise ConfigError(f'--search {name}', reason)
@@ -85,28 +96,11 @@ class _Bench:
             raise ConfigError(f'--search {name}', reason)
         return name, (low, high)
 
-    def _field(self, name: str) -> tuple[str, str, Any, list[int]]:
-        """Part, field and value of a number, and its places where the value has several."""
-        match = _FIELD.fullmatch(name)
-        if match:
-            part, field, index = match.groups()
-            value = getattr(self._parts[part], field, None)
-            if isinstance(value, float) and not index:
-                return part, field, value, []
-            if isinstance(value, tuple):
-                places = [k for k in range(len(value)) if index in (None, str(k))]
-                if len({value[k] for k in places}) == 1:  # one for all
-                    return part, field, value, places
-        known = ', '.join(
-            f'{part}.{f.name}' for part, of in self._parts.items() for f in fields(of)
-        )
-        raise ConfigError(f'--search {name}', f'is no number of {known}')
-
     def content(self, values: dict[str, float]) -> dict[str, Any]:
         """Content of the requirement file with given values."""
         data = copy.deepcopy(self._data)
         for name, value in values.items():
-            part, field, old, places = self._field(name)
+            part, field, old, places = self._known[name]
             if places:
                 now = data[part].get(field)
                 now = now if isinstance(now, list) else old  # one number stands for all
@@ -128,11 +122,9 @@ class _Bench:
         """Results of all runs with given values: the same paths, noise and faults for each."""
         spec = self.campaign.content['spec']
         tuning = {name: value for name, value in values.items() if name.startswith('diagnosis.')}
-        tried = self.campaign.with_gains(
-            self.gains(values),
-            factors={**spec.get('factors', {}), **tuning},
-            seed=self.campaign.spec.seed if seed is None else seed,
-        )
+        seed, factors = self.campaign.spec.seed if seed is None else seed, spec.get('factors', {})
+        changes = {'factors': factors | tuning, 'seed': seed}
+        tried = self.campaign.with_gains(self.gains(values), **changes)
         rows = [row for _, part in self._execute(tried, chunks_of(tried)) for row in part]
         return sorted(rows, key=lambda row: row['number'])
 
