@@ -108,7 +108,6 @@ class Refusals:
         self.last = ''  # the newest reason
 
     def add(self, reason: str) -> None:
-        """Count one message."""
         self._last = now = time.monotonic()
         self.last = reason
         self.counts[reason] = self.counts.get(reason, 0) + 1

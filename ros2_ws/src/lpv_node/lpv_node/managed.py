@@ -15,7 +15,6 @@ from rclpy.exceptions import ParameterException
 from rclpy.executors import Executor, SingleThreadedExecutor
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.publisher import Publisher
-from rclpy.qos import QoSProfile
 from rclpy.subscription import Subscription
 from rclpy.timer import Timer
 
@@ -168,18 +167,12 @@ class ManagedNode(LifecycleNode):
 
     def _try_begin(self) -> None:
         recorders = self.get_parameter('await_recorders').value
-        waiting = [
-            publisher.topic_name
-            for publisher, consumers in self.outputs().items()
-            if self._matched(publisher) < recorders + self.lockstep * consumers
-        ]
+        wanted = {p: recorders + self.lockstep * count for p, count in self.outputs().items()}
+        waiting = [p.topic_name for p, count in wanted.items() if self._matched(p) < count]
         if waiting:
-            self.get_logger().warning(
-                f'waiting for subscribers of {", ".join(waiting)}'
-                + (f' (await_recorders is {recorders}: is it running?)' if recorders else ''),
-                throttle_duration_sec=5.0,
-                skip_first=True,
-            )
+            asked = f' (await_recorders is {recorders}: is it running?)' if recorders else ''
+            text = f'waiting for subscribers of {", ".join(waiting)}{asked}'
+            self.get_logger().warning(text, throttle_duration_sec=5.0, skip_first=True)
             return
         self.destroy_timer(self._gate)
         with self._noting(self._of_activity):
@@ -206,17 +199,11 @@ class ManagedNode(LifecycleNode):
         return self.create_timer(period, self._while_active(callback), clock=self._steady)
 
     def create_subscription(  # type: ignore[override]
-        self,
-        msg_type: type,
-        topic: str,
-        callback: Callable[[Any], None],
-        qos_profile: QoSProfile | int,
-        **options: Any,
+        self, msg_type: type, topic: str, callback: Callable[[Any], None], *qos: Any, **options: Any
     ) -> Subscription:
         """Subscribe as rclpy does; what arrives while the node is not active is dropped."""
-        return super().create_subscription(
-            msg_type, topic, self._while_active(callback), qos_profile, **options
-        )
+        active = self._while_active(callback)
+        return super().create_subscription(msg_type, topic, active, *qos, **options)
 
     def _while_active(self, callback: Callable[..., None]) -> Callable[..., None]:
         """A callback that does nothing while the node takes no part."""
@@ -290,11 +277,8 @@ def run_node(node_class: Callable[[], ManagedNode]) -> int:
 
 def _spin(node: ManagedNode, stop: StopRequest) -> int:
     if node.get_parameter('autostart').value:
-        started = (
-            node.trigger_configure() == TransitionCallbackReturn.SUCCESS
-            and node.trigger_activate() == TransitionCallbackReturn.SUCCESS
-        )
-        if not started:
+        steps = node.trigger_configure, node.trigger_activate
+        if not all(step() == TransitionCallbackReturn.SUCCESS for step in steps):
             return 1
     stop.defer()
     executor = make_executor()

@@ -4,14 +4,8 @@ import array
 from collections.abc import Iterable, Sequence
 from typing import Any, TypeVar
 
-from rcl_interfaces.msg import (
-    FloatingPointRange,
-    IntegerRange,
-    ParameterDescriptor,
-    ParameterType,
-    SetParametersResult,
-)
-from rcl_interfaces.msg import Parameter as ParameterMessage
+from rcl_interfaces import msg
+from rcl_interfaces.msg import ParameterDescriptor, ParameterType, SetParametersResult
 from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
 from rclpy.node import Node
@@ -43,9 +37,9 @@ def _descriptor(entry: Entry, read_only: bool) -> ParameterDescriptor:
         return result
     low, high = entry.limits
     if isinstance(entry.default, float):
-        result.floating_point_range = [FloatingPointRange(from_value=low, to_value=high)]
+        result.floating_point_range = [msg.FloatingPointRange(from_value=low, to_value=high)]
     else:
-        result.integer_range = [IntegerRange(from_value=int(low), to_value=int(high))]
+        result.integer_range = [msg.IntegerRange(from_value=int(low), to_value=int(high))]
     return result
 
 
@@ -160,7 +154,7 @@ class CheckedParameterService(ParameterService):
         response.result = self._set(request.parameters)
         return response
 
-    def _set(self, messages: Sequence[ParameterMessage]) -> SetParametersResult:
+    def _set(self, messages: Sequence[msg.Parameter]) -> SetParametersResult:
         reason = next(filter(None, map(self._refusal, messages)), '')
         try:
             if not reason:
@@ -170,7 +164,7 @@ class CheckedParameterService(ParameterService):
             reason = f'{type(error).__name__}: {error}'
         return SetParametersResult(successful=False, reason=reason)
 
-    def _refusal(self, message: ParameterMessage) -> str:
+    def _refusal(self, message: msg.Parameter) -> str:
         """Why a parameter cannot have a value; empty if it may."""
         node, name, given = self._get_node(), message.name, message.value.type
         if not name:

@@ -101,14 +101,10 @@ class RecorderInput:
         self, node: rclpy.node.Node, selection: Selection, check_type: Callable[..., Any]
     ) -> None:
         self._node, self._selection, self._check_type = node, selection, check_type
-        self._own = rclpy.create_node(
-            f'{node.get_name()}_input',
-            namespace=node.get_namespace(),
-            context=node.context,
-            use_global_arguments=False,
-            enable_rosout=False,
-            start_parameter_services=False,
-        )
+        options: Any = {'namespace': node.get_namespace(), 'context': node.context}
+        silent = ('use_global_arguments', 'enable_rosout', 'start_parameter_services')
+        options |= dict.fromkeys(silent, False)
+        self._own = rclpy.create_node(f'{node.get_name()}_input', **options)
         enlarge_sockets()
         self._topics: dict[str, _Topic] = {}
         self._publishers: dict[str, int] = {}  # by topic: number of them at the last look
@@ -117,7 +113,6 @@ class RecorderInput:
         self._searches = 0
 
     def close(self) -> None:
-        """Stop listening."""
         self._topics = {}
         self._own.destroy_node()
 
@@ -147,11 +142,8 @@ class RecorderInput:
     def _look(self, name: str) -> list[tuple[str, str, Qos]]:
         """Subscribe to the publishers of a topic that nothing is heard of; the topic if new."""
         own = self._node.get_name(), self._node.get_namespace()
-        publishers = [
-            p
-            for p in self._node.get_publishers_info_by_topic(name)
-            if (p.node_name, p.node_namespace) != own
-        ]
+        there = self._node.get_publishers_info_by_topic(name)
+        publishers = [p for p in there if (p.node_name, p.node_namespace) != own]
         if name in self._topics:
             self._hear_all(name, self._topics[name], publishers)
             return []
@@ -186,9 +178,8 @@ class RecorderInput:
 
     def _add(self, name: str, topic: _Topic, asked: _Offer) -> None:
         qos = ros_qos(*asked, DEEPEST)
-        topic.subscriptions[asked] = self._own.create_subscription(
-            topic.kind, name, lambda _: None, qos, raw=True
-        )
+        subscribe = self._own.create_subscription
+        topic.subscriptions[asked] = subscribe(topic.kind, name, lambda _: None, qos, raw=True)
 
     def _hear_all(self, name: str, topic: _Topic, publishers: list[TopicEndpointInfo]) -> None:
         """Subscribe to publishers that nothing is heard of, as they offer less than those before.
@@ -198,17 +189,15 @@ class RecorderInput:
         unheard = set()
         for publisher in publishers:
             if publisher.topic_type != topic.msgtype:
-                self._complain(
-                    name, publisher, f'has type {publisher.topic_type}, not {topic.msgtype}'
-                )
+                why = f'has type {publisher.topic_type}, not {topic.msgtype}'
+                self._complain(name, publisher, why)
             elif (offer := topic.unheard(publisher)) is None:
                 continue
             elif _TELLS_PUBLISHERS:
                 unheard.add(offer)
             else:
-                self._complain(
-                    name, publisher, 'offers a lower quality of service than those before it'
-                )
+                why = 'offers a lower quality of service than those before it'
+                self._complain(name, publisher, why)
         # All publishers have their owners by now: a new subscription hears of others, too.
         for offer in sorted(unheard, reverse=True):
             self._add(name, topic, offer)
@@ -275,7 +264,5 @@ def enlarge_sockets() -> None:
 def _offer(publisher: TopicEndpointInfo) -> _Offer:
     """Whether a publisher is reliable, and keeps its last messages for those who come later."""
     qos = publisher.qos_profile
-    return (
-        qos.reliability == ReliabilityPolicy.RELIABLE,
-        qos.durability == DurabilityPolicy.TRANSIENT_LOCAL,
-    )
+    latched = qos.durability == DurabilityPolicy.TRANSIENT_LOCAL
+    return qos.reliability == ReliabilityPolicy.RELIABLE, latched

@@ -119,12 +119,9 @@ class RecorderNode(ManagedNode):
         """Listen to the wanted topics."""
         assert self._writer is not None  # `listen` has opened one, or activation has failed
         self._input = RecorderInput(self, self._selection, partial(self._writer.describe, ''))
-        for period, callback in (
-            (0.05, self._search),
-            (_POLL, self._poll_in_time),
-            (1.0, self._report),
-        ):
-            self.steady_timer(period, callback)
+        self.steady_timer(0.05, self._search)
+        self.steady_timer(_POLL, self._poll_in_time)
+        self.steady_timer(1.0, self._report)
         what = f'{len(self._selection.names)} topics' if self._selection.names else 'all topics'
         self.get_logger().info(f'recording {what} into {self._writer.path}')
 
@@ -158,15 +155,11 @@ class RecorderNode(ManagedNode):
 
     def _poll_in_time(self) -> None:
         """Take what has come, once there is a time to log it with; queues hold it until then."""
-        if self.lockstep or not self.get_parameter('use_sim_time').value:
+        needs_clock = not self.lockstep and self.get_parameter('use_sim_time').value
+        if not needs_clock or self.get_clock().now().nanoseconds:
             return self._poll()
-        if self.get_clock().now().nanoseconds:
-            return self._poll()
-        self.get_logger().warning(
-            'use_sim_time is set, and /clock has told no time yet: nothing is written until then',
-            throttle_duration_sec=5.0,
-            skip_first=True,
-        )
+        text = 'use_sim_time is set, and /clock has told no time yet: nothing is written until then'
+        self.get_logger().warning(text, throttle_duration_sec=5.0, skip_first=True)
 
     def _poll(self) -> None:
         found = self._input.poll() if self._input is not None else []

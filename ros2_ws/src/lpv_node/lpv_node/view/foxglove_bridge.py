@@ -22,7 +22,7 @@ from lpv.core.support.config import MAX_BYTES
 from lpv.core.support.errors import ConfigError
 from lpv.core.support.timestamps import NANOSECONDS, leading_stamp
 from lpv_node.view.access import MOST_CLIENTS, Access
-from lpv_node.view.server import HEARTBEAT, LARGEST_MESSAGE, MOST_WAITING, guarded
+from lpv_node.view.server import HEARTBEAT, MOST_WAITING, SOCKET, guarded
 
 Socket = web.WebSocketResponse | aiohttp.ClientWebSocketResponse
 PROTOCOL = 'foxglove.sdk.v1'
@@ -51,11 +51,9 @@ class FoxgloveBridge:
         for topic, (msgtype, keep) in topics.items():
             add_type(typestore, msgtype)
             text, _ = typestore.generate_msgdef(msgtype, ros_version=2)
+            schema = foxglove.Schema(name=msgtype, encoding='ros2msg', data=text.encode())
             self._channels[topic] = foxglove.Channel(
-                topic,
-                message_encoding='cdr',
-                context=self._context,
-                schema=foxglove.Schema(name=msgtype, encoding='ros2msg', data=text.encode()),
+                topic, message_encoding='cdr', context=self._context, schema=schema
             )
             self._kept[topic] = deque(maxlen=keep)
         self._band = foxglove.Channel(band, schema=_BAND_SCHEMA, context=self._context)
@@ -89,15 +87,13 @@ class FoxgloveBridge:
         values = [sample[name] for name in ('estimate', 'bound', 'threshold')]
         if not any(None in row for row in values):
             estimate, bound, threshold = values
-            self._band.log(
-                {
-                    'lower': [e - b for e, b in zip(estimate, bound)],
-                    'upper': [e + b for e, b in zip(estimate, bound)],
-                    'threshold_low': [-t for t in threshold],
-                    'threshold_high': threshold,
-                },
-                log_time=stamp,
-            )
+            band = {
+                'lower': [e - b for e, b in zip(estimate, bound)],
+                'upper': [e + b for e, b in zip(estimate, bound)],
+                'threshold_low': [-t for t in threshold],
+                'threshold_high': threshold,
+            }
+            self._band.log(band, log_time=stamp)
 
     def restart(self) -> None:
         """Time restarted: clients forget what they have."""
@@ -114,7 +110,6 @@ class FoxgloveBridge:
             self._channels[channel.topic].log(data, log_time=time, sink_id=client.id)
 
     def stop(self) -> None:
-        """Close all connections."""
         self._server.stop()
 
 
@@ -134,21 +129,13 @@ def _start(name: str, context: Any, on_subscribe: Callable[[Any, Any], None]) ->
 
     # All of 127.0.0.0/8 is loopback on Linux; elsewhere it is one address.
     parts = '.'.join(str(secrets.randbelow(254) + 1) for _ in range(3))
+    options = {'name': name, 'port': 0, 'context': context, 'server_listener': Listener()}
+    options |= {'capabilities': [], 'message_backlog_size': MOST_WAITING}
     for address in (f'127.{parts}', '127.0.0.1'):
         try:
-            server = foxglove.start_server(
-                name=name,
-                host=address,
-                port=0,
-                context=context,
-                server_listener=Listener(),
-                capabilities=[],
-                message_backlog_size=MOST_WAITING,
-            )
+            return foxglove.start_server(host=address, **options), address
         except (OSError, RuntimeError) as error:
             failure = error
-        else:
-            return server, address
     raise ConfigError('foxglove_port', f'the Foxglove server does not start: {failure}')
 
 
@@ -175,23 +162,15 @@ def gate(access: Access, address: str, port: int) -> web.Application:
 
 
 async def _pass_on(request: web.Request, url: str) -> web.WebSocketResponse:
-    outside = web.WebSocketResponse(
-        protocols=[PROTOCOL],
-        max_msg_size=LARGEST_MESSAGE,
-        compress=False,
-        heartbeat=HEARTBEAT,
-        timeout=2.0,
-    )
+    outside = web.WebSocketResponse(protocols=[PROTOCOL], heartbeat=HEARTBEAT, **SOCKET)
     try:
         async with (
             aiohttp.ClientSession() as session,
             session.ws_connect(url, protocols=[PROTOCOL], max_msg_size=MAX_BYTES) as inside,
         ):
             await outside.prepare(request)
-            pumps = [
-                asyncio.ensure_future(_pump(*pair))
-                for pair in ((inside, outside), (outside, inside))
-            ]
+            ways = ((inside, outside), (outside, inside))
+            pumps = [asyncio.ensure_future(_pump(*way)) for way in ways]
             try:
                 await asyncio.wait(pumps, return_when=asyncio.FIRST_COMPLETED)
             finally:

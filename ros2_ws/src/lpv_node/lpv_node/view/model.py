@@ -35,14 +35,9 @@ _ARRAYS = {
     'reference': (),
 }
 """Fields that are shown and have one element for each joint, by source."""
-_CHARTS = {
-    'estimate': ('fault_estimate', 'estimate'),
-    'bound': ('fault_estimate', 'bound'),
-    'threshold': ('fault_estimate', 'threshold'),
-    'fault': ('ground_truth', 'fault'),
-    'torque': ('torque_command', 'torque'),
-    'tip': ('reference', 'tip_position'),
-}
+_CHARTS = {name: ('fault_estimate', name) for name in ('estimate', 'bound', 'threshold')}
+_CHARTS |= {'fault': ('ground_truth', 'fault'), 'torque': ('torque_command', 'torque')}
+_CHARTS |= {'tip': ('reference', 'tip_position')}
 """Source and field of what a sample of the charts has."""
 
 
@@ -129,12 +124,9 @@ class LiveModel:
         if self._path is None:
             return {'path': [], 'obstacle': None}
         times = np.linspace(self._path.start, self._path.end, 151)
-        points, obstacle = self._skeleton.drawn(self._path.sample(times).tip), self._path.obstacle
-        return {
-            'path': [_numbers(point, 4) for point in points],
-            'obstacle': obstacle
-            and {'center': _numbers(obstacle.center), 'radius': obstacle.radius},
-        }
+        points, found = self._skeleton.drawn(self._path.sample(times).tip), self._path.obstacle
+        obstacle = found and {'center': _numbers(found.center), 'radius': found.radius}
+        return {'path': [_numbers(point, 4) for point in points], 'obstacle': obstacle}
 
     def frame(self, now: float) -> dict[str, Any]:
         """The present at a steady time [s], for clients and history; None: not known."""

@@ -29,11 +29,10 @@ class Requests:
 
     def submit(self, command: Command, reply: Reply) -> bool:
         """Queue a command, in the server's thread; False if too many are waiting."""
-        try:
+        has_room = not self._incoming.full()  # nobody else puts anything
+        if has_room:
             self._incoming.put_nowait((command, reply))
-        except queue.Full:
-            return False
-        return True
+        return has_room
 
     def available(self) -> dict[str, bool]:
         """Whether each service is there, by name."""
@@ -67,6 +66,5 @@ class Requests:
         self._pending = waiting
 
     def close(self) -> None:
-        """Destroy the clients."""
         for client in self._clients.values():
             self._node.destroy_client(client)

@@ -6,7 +6,6 @@ import json
 import logging
 import threading
 import time
-from collections import deque
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, cast
@@ -22,6 +21,8 @@ from lpv_node.view.commands import Command, CommandError, Reply, parse_command
 
 LARGEST_MESSAGE = 4096
 """Largest message of a client [byte]."""
+SOCKET: dict[str, Any] = {'max_msg_size': LARGEST_MESSAGE, 'compress': False, 'timeout': 2.0}
+"""Of the WebSockets of all ports."""
 HEARTBEAT = 2.0 * PATIENCE
 """Interval of pings; a client that answers none for half of it loses its place [s]."""
 _MOST_WRONG_TOKENS = 5
@@ -57,18 +58,16 @@ class Client:
 
     def __init__(self, socket: web.WebSocketResponse) -> None:
         self._socket = socket
-        self._waiting: deque[str] = deque()
-        self._frame: str | None = None
-        self._wake = asyncio.Event()
-        self.granted = self.welcomed = self.lost = self._ending = False
+        self._waiting: asyncio.Queue[str | None] = asyncio.Queue()  # None: the newest frame
+        self._frame = ''
+        self.granted = self.welcomed = self.lost = False
         self.wrong_tokens = 0
 
     def put(self, text: str) -> None:
         """Queue a message that must arrive, or give the client up."""
-        if len(self._waiting) >= MOST_WAITING:
+        if self._waiting.qsize() >= MOST_WAITING:
             self.close()
-        self._waiting.append(text)
-        self._wake.set()
+        self._waiting.put_nowait(text)
 
     def welcome(self, text: str) -> None:
         """Queue the first message: others are for who got it."""
@@ -77,36 +76,32 @@ class Client:
 
     def put_frame(self, text: str) -> None:
         """Put the newest frame in place of one that was not sent yet."""
+        if not self._frame:
+            self._waiting.put_nowait(None)
         self._frame = text
-        self._wake.set()
 
     def close(self) -> None:
         """Give the client up."""
         self.lost = True
-        self._wake.set()
+        self.finish()
 
     def finish(self) -> None:
-        """Send what must arrive, then no more."""
-        self._ending, self._frame = True, None
-        self._wake.set()
+        """Send what is queued, then no more."""
+        self._waiting.put_nowait('')
 
     async def write(self) -> None:
         """Send what is queued until the client is lost or all is said."""
         while not self.lost and not self._socket.closed:
-            if self._ending and not self._waiting:
+            text = await self._waiting.get()
+            if text is None:
+                text, self._frame = self._frame, ''
+            if self.lost or not text:
                 return
-            await self._wake.wait()
-            self._wake.clear()
-            while not self.lost and (self._waiting or self._frame):
-                if self._waiting:
-                    text = self._waiting.popleft()
-                else:
-                    text, self._frame = self._frame or '', None
-                try:
-                    await asyncio.wait_for(self._socket.send_str(text), 2.0 * PATIENCE)
-                # Python 3.10 has two kinds of time-out.
-                except (asyncio.TimeoutError, ConnectionError, RuntimeError):  # noqa: UP041
-                    self.lost = True
+            try:
+                await asyncio.wait_for(self._socket.send_str(text), 2.0 * PATIENCE)
+            # Python 3.10 has two kinds of time-out.
+            except (asyncio.TimeoutError, ConnectionError, RuntimeError):  # noqa: UP041
+                self.lost = True
 
 
 class _Refusal(asyncio.Protocol):
@@ -153,9 +148,8 @@ class ViewServer:
         options |= {'shutdown_timeout': 1.0, 'keepalive_timeout': self._patience}
         # What is sent here that is no HTTP, aiohttp would log with a traceback.
         logger = logging.getLogger('lpv_node.view.requests')
-        logger.filters = [
-            lambda one: not (one.exc_info and isinstance(one.exc_info[1], HttpProcessingError))
-        ]
+        wrong = HttpProcessingError
+        logger.filters = [lambda one: not (one.exc_info and isinstance(one.exc_info[1], wrong))]
         busy = set[asyncio.BaseProtocol]()
 
         @web.middleware
@@ -258,9 +252,7 @@ class ViewServer:
     async def _on_socket(self, request: web.Request) -> web.WebSocketResponse:
         if len(self.clients) >= self._max_clients:
             raise web.HTTPServiceUnavailable(text='too many clients')
-        socket = web.WebSocketResponse(
-            max_msg_size=LARGEST_MESSAGE, heartbeat=self._heartbeat, compress=False, timeout=2.0
-        )
+        socket = web.WebSocketResponse(heartbeat=self._heartbeat, **SOCKET)
         await socket.prepare(request)
         client = Client(socket)
         client.granted = not self._access.token

@@ -114,10 +114,8 @@ function takeLink(state) {
   redraw();
 }
 
-function takeServices({ inject, clear, reset }) {
-  byId('inject').disabled = !inject;
-  byId('clear').disabled = !clear;
-  byId('reset').disabled = !reset;
+function takeServices(there) {
+  for (const name of ['inject', 'clear', 'reset']) byId(name).disabled = !there[name];
 }
 
 function takeFrame(message) {
