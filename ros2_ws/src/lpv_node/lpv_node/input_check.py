@@ -2,6 +2,7 @@
 
 import math
 import time
+from collections import Counter
 from collections.abc import Iterable, Sequence, Sized
 from itertools import chain
 
@@ -104,13 +105,13 @@ class Refusals:
         self._logger = node.get_logger()
         self._logged: dict[str, float] = {}
         self._last = -math.inf
-        self.counts: dict[str, int] = {}
+        self.counts = Counter[str]()
         self.last = ''  # the newest reason
 
     def add(self, reason: str) -> None:
         self._last = now = time.monotonic()
         self.last = reason
-        self.counts[reason] = self.counts.get(reason, 0) + 1
+        self.counts[reason] += 1
         if now - self._logged.get(reason, -math.inf) > PATIENCE:
             self._logged[reason] = now
             self._logger.warning(f'refused: {reason} ({self.counts[reason]} so far)')

@@ -141,20 +141,16 @@ def _start(name: str, context: Any, on_subscribe: Callable[[Any, Any], None]) ->
 
 def gate(access: Access, address: str, port: int) -> web.Application:
     """Application that lets accepted WebSockets through to the SDK's server at an address."""
-    count = 0
+    places = asyncio.Semaphore(MOST_CLIENTS)
 
     async def on_socket(request: web.Request) -> web.WebSocketResponse:
-        nonlocal count
         offered = request.headers.get('Sec-WebSocket-Protocol', '')
         if PROTOCOL not in [p.strip() for p in offered.split(',')]:
             raise web.HTTPBadRequest(text=f'WebSocket with subprotocol {PROTOCOL} expected\n')
-        if count >= MOST_CLIENTS:
+        if places.locked():
             raise web.HTTPServiceUnavailable(text='too many clients')
-        count += 1
-        try:
+        async with places:
             return await _pass_on(request, f'http://{address}:{port}')
-        finally:
-            count -= 1
 
     application = guarded(access)
     application.router.add_get('/', on_socket)

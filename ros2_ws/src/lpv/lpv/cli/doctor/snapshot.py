@@ -80,22 +80,23 @@ def _look(node: Any, executor: Any, seconds: float) -> Snapshot:
         shot.publishers[topic] = _endpoints(node.get_publishers_info_by_topic(topic))
         shot.subscriptions[topic] = _endpoints(node.get_subscriptions_info_by_topic(topic))
     _listen(node, shot)
-    questions: list[tuple[str, str, Any, Any]] = []  # node, parameter, client and request
+    questions: dict[tuple[str, str], Any] = {}  # by node and parameter: client and request
     for name in shot.ours():
         state = node.create_client(GetState, f'{name}/get_state')
         values = node.create_client(GetParameters, f'{name}/get_parameters')
-        questions.append((name, '', state, GetState.Request()))
-        # One by one: a name that a node does not know spoils the answer to the others.
-        questions += [(name, p, values, GetParameters.Request(names=[p])) for p in _PARAMETERS]
-    futures: dict[int, Any] = {}  # of requests that were sent, once their service was found
+        questions[name, ''] = state, GetState.Request()
+        for one in _PARAMETERS:  # a name that a node does not know spoils the answer to others
+            questions[name, one] = values, GetParameters.Request(names=[one])
+    futures: dict[tuple[str, str], Any] = {}  # once the service was found
     end = time.monotonic() + seconds
     while time.monotonic() < end:
-        for k, (_, _, client, request) in enumerate(questions):
-            if k not in futures and client.service_is_ready():
-                futures[k] = client.call_async(request)
+        for key, (client, request) in questions.items():
+            if key not in futures and client.service_is_ready():
+                futures[key] = client.call_async(request)
         executor.spin_once(timeout_sec=min(0.05, max(0.0, end - time.monotonic())))
-    for k, (name, parameter, _, _) in enumerate(questions):
-        answer = futures[k].result() if k in futures and futures[k].done() else None
+    for name, parameter in questions:
+        future = futures.get((name, parameter))
+        answer = future.result() if future and future.done() else None
         if not parameter:
             shot.states[name] = None if answer is None else answer.current_state.label
         elif answer is not None and answer.values:
