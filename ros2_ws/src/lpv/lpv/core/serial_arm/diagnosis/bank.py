@@ -70,6 +70,7 @@ from lpv.core.serial_arm.diagnosis.priors import (
     OCCURRENCE,
     PUSH,
     SIZE,
+    STAMPS,
     STEADY_FOR,
     USUAL_RATE,
 )
@@ -133,6 +134,7 @@ class Hypothesis(NamedTuple):
     seen: bool = False  # whether the reading shows it by itself: it froze
     course: Course | None = None  # of a joint whose reading froze
     change: FloatArray | None = None  # of the load, along the payload's rows
+    doubt: FloatArray | None = None  # variances of the last balances by stamps [N2 m2 s2]
 
     @property
     def is_encoder(self) -> bool:
@@ -270,7 +272,7 @@ class Bank:
         self._kinds = Kinds(basis, prior, applies, windows, older)
         loads = len(self.estimator.window.loads) > 0
         # Onsets beside rates are those of windows, told more exactly.
-        self._log_weight = float(-np.log(2 + applies.sum() + n + derived.sum() + loads))
+        self._log_weight = float(-np.log(3 + applies.sum() + n + derived.sum() + loads))
 
     @property
     def statistic(self) -> float:
@@ -294,7 +296,9 @@ class Bank:
         the method of that name; faults of sensors ``known`` are followed.
         """
         count, evidence = int(self._state['windows']), self._evidence
-        single = stuck + self._load_changes(count) + self._stops(blocks, count, known)
+        held = self._held(blocks, count)
+        single = stuck + self._load_changes(count) + self._stops(held, known)
+        single += self._wrong_stamps(held)
         if self._derived.any():
             single += self._sudden(blocks, count)
         if self.kinematics.trusted.any():
@@ -360,21 +364,17 @@ class Bank:
             for one, begin, moved in zip(evidence, begins, change)
         ]
 
-    def _stops(
-        self, blocks: Callable[[int], FloatArray], windows: int, known: set[int]
-    ) -> list[Hypothesis]:
+    def _stops(self, held: FloatArray, known: set[int]) -> list[Hypothesis]:
         """An arm that came to rest was stopped by torques that no effort tells, as by its brakes.
 
         What they take from the momentum is what that changes by in the balances of the stop.  The
         joints of all sensors without a ``known`` fault rest then: a fault shows in one.  How fast
-        the others were is not known.
+        the others were is not known.  ``held`` is as of `_held`.
         """
         estimator, plan, n = self.estimator, self.estimator.plan, self.estimator.joints
-        last = min(int(self._lengths[windows - 1]), self._recent, len(estimator) - 1)
-        held = blocks(last + 1)
-        if len(held) < (last + 1) * plan.blocks:
+        last, rates = len(held) // plan.blocks - 1, self._mean_rates(held)
+        if last < 1:
             return []
-        rates = held[:, n : 2 * n].reshape(last + 1, -1, n).mean(1)[::-1]  # newest first
         sensors = [i for i in range(n) if i not in known]
         rests = at_rest(rates, estimator.balance.scale, sensors)
         # Joints that stopped in the newest interval rest at its end.
@@ -394,11 +394,53 @@ class Bank:
                 stopped = np.arange(stop, min(stop + count, last))  # each with a size of its own
                 columns = np.zeros((stopped[-1] + 1, n, len(stopped), change.shape[2]))
                 columns[stopped, :, np.arange(len(stopped))] = change[stopped]
-                columns = columns.reshape(len(columns), n, -1)
-                gain = onset_gains(estimator.window, estimator.posterior, columns)[0][-1]
-                begin = float(estimator.window.times[at[stopped[-1]]]) - plan.interval
-                found.append(Hypothesis(CONTACT, -1, float(gain), 0.0, 0.0, begin, 0.5))
+                found.append(self._impact(CONTACT, columns))
         return found
+
+    def _wrong_stamps(self, held: FloatArray) -> list[Hypothesis]:
+        """Readings of all sensors came late, or early, and were smoothed by who resampled them.
+
+        The rates of all joints are off by the same share, for up to three intervals: momenta seem
+        to change with it, and to change back.  ``held`` is as of `_held`.
+        """
+        estimator, n = self.estimator, self.estimator.joints
+        window, null = estimator.window, estimator.posterior
+        last = len(held) // estimator.plan.blocks - 1
+        if last < 1:
+            return []
+        at = recent(window, last)
+        momentum = np.einsum('bij,bj->bi', window.momenta[at], self._mean_rates(held)[:-1])
+        estimator.call(set_residuals, window, null, last)
+        weights = window.weights[at]
+        score = np.diff(weights * null.residual[:last], axis=0, prepend=0.0)
+        power = weights + np.pad(weights, ((1, 0), (0, 0)))[:-1]
+        gains = (momentum * score).sum(1) ** 2 / (1.0 + (momentum**2 * power).sum(1))
+        middle = int(gains.argmax())
+        shared = range(max(middle - 1, 0), min(middle + 2, last))
+        columns = np.zeros((shared[-1] + 1, n, len(shared)))  # each with a size of its own
+        for place, k in enumerate(shared):
+            columns[k, :, place] += momentum[k]
+            columns[max(k - 1, 0), :, place] -= momentum[k] * (k > 0)
+        return [self._impact(STAMPS, columns)._replace(doubt=(columns**2).sum(2))]
+
+    def _impact(self, kind: str, columns: FloatArray) -> Hypothesis:
+        """What acts in some balances alone, by columns of unit sizes, shape (last, n, ...)."""
+        estimator, last = self.estimator, len(columns)
+        columns = columns.reshape(last, estimator.joints, -1)
+        gain = onset_gains(estimator.window, estimator.posterior, columns)[0][-1]
+        begin = float(estimator.times(last)[0]) - estimator.plan.interval
+        return Hypothesis(kind, -1, float(gain), 0.0, 0.0, begin, 0.5)
+
+    def _held(self, blocks: Callable[[int], FloatArray], windows: int) -> FloatArray:
+        """Blocks of the balances in which causes of all kinds may have begun, and of one before."""
+        last = min(int(self._lengths[windows - 1]), self._recent, len(self.estimator) - 1)
+        held, wanted = blocks(last + 1), (last + 1) * self.estimator.plan.blocks
+        return held if len(held) == wanted else held[:0]
+
+    def _mean_rates(self, held: FloatArray) -> FloatArray:
+        """Of the intervals of these blocks, newest first."""
+        n, blocks = self.estimator.joints, self.estimator.plan.blocks
+        return np.asarray(held[:, n : 2 * n].reshape(-1, blocks, n).mean(1)[::-1])
 
     def stuck(
         self, frozen: dict[int, Frozen], blocks: Callable[[int], FloatArray]

@@ -679,6 +679,12 @@ class OffsetEstimator:
         self.weigh_again(count)
         self._solve()
 
+    def doubt_balances(self, variances: FloatArray) -> None:
+        """Let the last balances say less, by more variance, shape (last, n) [N2 m2 s2]."""
+        self.window.extra[recent(self.window, len(variances))] += variances
+        self.weigh_again(len(variances))
+        self._solve()
+
     def distrust(self, last: int) -> None:
         """Take most of the weight off the last balances, and estimate anew."""
         last = min(last, len(self))

@@ -10,9 +10,13 @@ CONTACT = 'contact'
 LOAD = 'load'
 """The load at the tip has changed, within what the arm file states."""
 
+STAMPS = 'stamps'
+"""Readings of all sensors came late or early, which no single sample shows."""
+
 OCCURRENCE = {
     CONTACT: 1.0,
     LOAD: 1.0,
+    STAMPS: 1.0,
     **dict.fromkeys(
         ('drift', 'scale', 'slip', 'stuck', 'rate_bias', 'torque_gain', 'torque_offset'), 0.01
     ),
