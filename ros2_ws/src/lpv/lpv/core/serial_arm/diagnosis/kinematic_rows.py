@@ -74,7 +74,29 @@ def take_row(own: Kinematics, blocks: FloatArray, interval: float) -> None:
         own.variances[most - 1, i] = own.jumps[0, i] + missing
         for k in range(own.jumps.shape[0]):
             own.jumps[k, i] = own.jumps[k + 1, i] if k + 1 < own.jumps.shape[0] else 0.0
+    _see_late(own, interval)
     _learn_lag(own, interval)
+
+
+@njit_in_place
+def _see_late(own: Kinematics, interval: float) -> None:
+    """Doubt the times of both ends of the last row where readings of all joints are late alike.
+
+    Smoothed by who resampled them, they were so for longer than a sample shows.  One sensor's fault
+    is explained by its own joint at least as well.
+    """
+    most, power, found, largest = own.rows.shape[0], 0.0, 0.0, ROBUST**2
+    for i in range(own.ends.shape[0]):
+        if own.trusted[i]:
+            variance = own.inflation[i] * (own.ends[i] + own.walk[i] * interval)
+            variance = max(variance + own.variances[most - 1, i], _BEFORE)
+            row, rate = own.rows[most - 1, i], own.edges[most, i]
+            power += rate * rate / variance
+            found += rate * row / variance
+            largest = max(largest, row * row / variance)
+    if found * found > largest * power:
+        late = (found / power) ** 2
+        own.late[most], own.late[most - 1] = own.late[most] + late, own.late[most - 1] + late
 
 
 @njit_in_place
