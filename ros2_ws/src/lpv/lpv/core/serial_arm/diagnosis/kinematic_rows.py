@@ -82,10 +82,10 @@ def take_row(own: Kinematics, blocks: FloatArray, interval: float) -> None:
 def _see_late(own: Kinematics, interval: float) -> None:
     """Doubt the times of both ends of the last row where readings of all joints are late alike.
 
-    Smoothed by who resampled them, they were so for longer than a sample shows.  One sensor's fault
-    is explained by its own joint at least as well.
+    Smoothed by who resampled them, they were so for longer than a sample shows.  What one sensor's
+    fault makes is explained by its own joint as well, but for the noise of the others.
     """
-    most, power, found, largest = own.rows.shape[0], 0.0, 0.0, ROBUST**2
+    most, power, found, largest = own.rows.shape[0], 0.0, 0.0, 0.0
     for i in range(own.ends.shape[0]):
         if own.trusted[i]:
             variance = own.inflation[i] * (own.ends[i] + own.walk[i] * interval)
@@ -94,7 +94,7 @@ def _see_late(own: Kinematics, interval: float) -> None:
             power += rate * rate / variance
             found += rate * row / variance
             largest = max(largest, row * row / variance)
-    if found * found > largest * power:
+    if found * found > (largest + ROBUST**2) * power:
         late = (found / power) ** 2
         own.late[most], own.late[most - 1] = own.late[most] + late, own.late[most - 1] + late
 
