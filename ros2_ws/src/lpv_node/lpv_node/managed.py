@@ -15,6 +15,7 @@ from rclpy.exceptions import ParameterException
 from rclpy.executors import Executor, SingleThreadedExecutor
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.publisher import Publisher
+from rclpy.qos import QoSProfile
 from rclpy.subscription import Subscription
 from rclpy.timer import Timer
 
@@ -199,11 +200,16 @@ class ManagedNode(LifecycleNode):
         return self.create_timer(period, self._while_active(callback), clock=self._steady)
 
     def create_subscription(  # type: ignore[override]
-        self, msg_type: type, topic: str, callback: Callable[[Any], None], *qos: Any, **options: Any
+        self,
+        msg_type: type,
+        topic: str,
+        callback: Callable[[Any], None],
+        qos_profile: QoSProfile | int,
+        **options: Any,
     ) -> Subscription:
         """Subscribe as rclpy does; what arrives while the node is not active is dropped."""
         active = self._while_active(callback)
-        return super().create_subscription(msg_type, topic, active, *qos, **options)
+        return super().create_subscription(msg_type, topic, active, qos_profile, **options)
 
     def _while_active(self, callback: Callable[..., None]) -> Callable[..., None]:
         """A callback that does nothing while the node takes no part."""

@@ -101,10 +101,14 @@ class RecorderInput:
         self, node: rclpy.node.Node, selection: Selection, check_type: Callable[..., Any]
     ) -> None:
         self._node, self._selection, self._check_type = node, selection, check_type
-        options: Any = {'namespace': node.get_namespace(), 'context': node.context}
-        silent = ('use_global_arguments', 'enable_rosout', 'start_parameter_services')
-        options |= dict.fromkeys(silent, False)
-        self._own = rclpy.create_node(f'{node.get_name()}_input', **options)
+        self._own = rclpy.create_node(
+            f'{node.get_name()}_input',
+            namespace=node.get_namespace(),
+            context=node.context,
+            use_global_arguments=False,
+            enable_rosout=False,
+            start_parameter_services=False,
+        )
         enlarge_sockets()
         self._topics: dict[str, _Topic] = {}
         self._publishers: dict[str, int] = {}  # by topic: number of them at the last look

@@ -35,9 +35,14 @@ _ARRAYS = {
     'reference': (),
 }
 """Fields that are shown and have one element for each joint, by source."""
-_CHARTS = {name: ('fault_estimate', name) for name in ('estimate', 'bound', 'threshold')}
-_CHARTS |= {'fault': ('ground_truth', 'fault'), 'torque': ('torque_command', 'torque')}
-_CHARTS |= {'tip': ('reference', 'tip_position')}
+_CHARTS = {
+    'estimate': ('fault_estimate', 'estimate'),
+    'bound': ('fault_estimate', 'bound'),
+    'threshold': ('fault_estimate', 'threshold'),
+    'fault': ('ground_truth', 'fault'),
+    'torque': ('torque_command', 'torque'),
+    'tip': ('reference', 'tip_position'),
+}
 """Source and field of what a sample of the charts has."""
 
 
