@@ -31,7 +31,9 @@ def resampled(rates, degree, seed, *faults):
     return watch(with_rates(arm, rates, sample_time=FAST), Stream(stamps, samples_fine))
 
 
-WAYS = pytest.mark.parametrize(('rates', 'degree'), [('derived', 3), ('independent', 3)])
+WAYS = pytest.mark.parametrize(
+    ('rates', 'degree'), [('derived', 3), ('independent', 3), ('independent', 1)]
+)
 
 
 @WAYS

@@ -17,8 +17,9 @@ def fill_repeated(sampler: Sampler) -> None:
     """Move readings that were repeated to where the joints were: their driver was late.
 
     They went evenly to their new readings, if their rates before explain these, else on at those.
+    Where all go on from where they were for more than a sample, time stood still: they stay.
     """
-    now, n, evenly = HISTORY - 1, sampler.scale.shape[0], True
+    now, n, evenly, resumed = HISTORY - 1, sampler.scale.shape[0], True, True
     for i in range(n):
         held, reading = sampler.held[i], sampler.samples[:, 0, i]
         if held > 0 and not _is_late(sampler, i):  # it rested
@@ -30,11 +31,14 @@ def fill_repeated(sampler: Sampler) -> None:
             # It slowed down, as far as its rounding tells.
             less = abs(way) < ROBUST * sampler.grain[i] and way * (rate * time - way) >= 0.0
             evenly = evenly and (less or abs(way - rate * time) <= smallest_jump(sampler, i))
+            on = rate * (sampler.time[now] - sampler.time[now - 1])  # it may go twice as far
+            within = abs(way - on) <= abs(on) + smallest_jump(sampler, i)
+            resumed = resumed and held > 1 and within
             # Its e is that of all samples in which it was repeated: these are filled in evenly.
             rounded = _is_rounded(sampler, i, way)
             learn_scale(sampler, i, way if rounded else way - rate * time, held + 1.0)
     for i in range(n):
-        if sampler.held[i] == 0 or not _is_late(sampler, i):
+        if sampler.held[i] == 0 or not _is_late(sampler, i) or (resumed and not evenly):
             continue
         old = now - 1 - sampler.held[i]
         time, way, rate = _since_change(sampler, i)
