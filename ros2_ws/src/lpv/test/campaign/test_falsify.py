@@ -93,8 +93,8 @@ LATE, TOLERANT = {'effort_delay': 0.02}, {'torque_tolerance': TorqueTolerance((0
 @pytest.mark.parametrize('stated', [LATE, TOLERANT])
 def test_given_late_efforts_or_missed_torques_when_searched_then_they_are_tried(stated):
     arm, told = three_joints(**stated), three_joints()
-    assert search(Attacker(arm, 2.0, monitored=told), 12)[0].ratio > 1.0
-    assert 0.5 < search(Attacker(arm, 2.0), 12)[0].ratio < 1.0
+    assert search(Attacker(arm, 2.0, monitored=told), 24)[0].ratio > 1.0
+    assert 0.5 < search(Attacker(arm, 2.0), 24)[0].ratio < 1.0
 
 
 def test_given_efforts_that_are_late_when_joints_brake_then_thresholds_hold_before_they_tell():
@@ -105,6 +105,19 @@ def test_given_efforts_that_are_late_when_joints_brake_then_thresholds_hold_befo
     attack.joints[SWING], attack.joints[SPEED] = [0.7, 0.17, 0.14], [1.6, 1.8, 0.4]
     late = [1.0] * attacker.range.count
     assert 0.5 < attacker.run(replace(attack, rest=0.65, shares=late, signs=[])).ratio < 1.0
+
+
+@pytest.mark.parametrize(('lost', 'seed'), [(3, 0), (4, 1), (6, 1)])
+def test_given_lost_samples_when_joints_move_then_thresholds_hold_what_they_hide(lost, seed):
+    attacker = Attacker(replace(three_joints(), sample_time=0.02), 1.0)
+    attack = attacker.attack(np.zeros(attacker.numbers), seed)
+    attack.joints[CENTRE], attack.joints[PHASE] = [1.2, 2.1, -0.9], [0.7, -1.6, -2.5]
+    attack.joints[SWING], attack.joints[SPEED] = [1.3, 0.8, 1.4], [1.1, 1.8, 1.6]
+    nominal = replace(attack, rest=9.0, shares=[0.0] * attacker.range.count, signs=[], lost=lost)
+    found = attacker.run(nominal)
+    assert 0.5 < found.ratio < 1.0 and found.thresholds[found.sensor] < 0.8
+    stamps, samples = attacker.received(nominal)
+    assert len(stamps) == len(samples) < 0.9 * len(attacker.samples)
 
 
 def test_given_efforts_of_a_motion_when_delayed_then_they_are_as_late_as_said():

@@ -17,7 +17,7 @@ from scipy.signal import lfilter
 from lpv.campaign.falsify import healthy_run
 from lpv.core.monitoring.parameters import DiagnosisParameters
 from lpv.core.monitoring.serial_monitor import SerialSensorMonitor
-from lpv.core.serial_arm.chain import Chain, FloatArray, compile_chain
+from lpv.core.serial_arm.chain import Chain, FloatArray, IntArray, compile_chain
 from lpv.core.serial_arm.description import RATE_BIAS, SerialArm
 from lpv.core.serial_arm.diagnosis.alarms import GUARANTEED, Alarm, SensorState
 from lpv.core.serial_arm.diagnosis.estimator import STRAIGHT, HorizonPlan
@@ -52,9 +52,11 @@ _SLOW_SWITCH, _FAST_SWITCH = 0.3, 60.0
 """Circular frequencies of bang-bang time profiles [rad/s]."""
 _REACH, _SPEED = 0.97, 0.5
 """Shares of a certified region and velocity limit that motions use."""
-_MOTION, _SHARED, _APART = 4, 4, 3
-"""Numbers of a candidate for each joint's motion; those of rest and switching; shares of a designed
-range that are none of its arm."""
+_MOTION, _SHARED, _APART = 4, 5, 3
+"""Numbers of a candidate for each joint's motion; those of rest, switching and lost samples; shares
+of a designed range that are none of its arm."""
+_LOST = 0.3
+"""Share of the samples that begin a run of lost ones, times its length."""
 
 
 @dataclass(frozen=True)
@@ -72,6 +74,7 @@ class Attack:
     signs: list[str]
     offsets: list[float]  # of sensors, which then are not judged [rad]
     seed: int  # of the noise
+    lost: int = 0  # samples in a row that are lost now and then
 
 
 @dataclass(frozen=True)
@@ -154,7 +157,7 @@ class Attacker:
         moves = [healthy_run.CENTRE, healthy_run.SWING, healthy_run.SPEED]
         joints[moves] = self.range.motion(motion)
         joints[healthy_run.PHASE] = np.pi * motion[3]
-        rest, switch, phase, rates = shared
+        rest, switch, phase, rates, lost = shared
         attack = Attack(
             joints.tolist(),
             0.0,
@@ -166,6 +169,8 @@ class Attacker:
             [],
             self.range.offsets(own),
             seed,
+            # Half of the attacks lose none; where more than ten are, all begins anew.
+            max(0, int(np.ceil(12.0 * lost))),
         )
         mean = self.range.disturb(joints, own, np.zeros(self.range.count))
         attack = replace(attack, joints=joints.tolist(), disturbance=mean)
@@ -198,9 +203,30 @@ class Attacker:
     def run(self, attack: Attack) -> Finding:
         """Simulate one attack, and look at the thresholds all along."""
         if self.simulate(attack):
-            return Finding(*self.range.judge(self.samples, np.array(attack.offsets)), attack)
+            stamps, samples = self.received(attack)
+            judged = self.range.judge(stamps, samples, np.array(attack.offsets))
+            return Finding(*judged, attack)
         nothing = np.zeros(self.samples.shape[2])
         return Finding(nothing, nothing, nothing, False, attack)
+
+    def received(self, attack: Attack, count: int | None = None) -> tuple[IntArray, FloatArray]:
+        """Stamps [ns] and values of the first samples, without those that the attack loses.
+
+        Derived rates are differences of what is left.
+        """
+        samples, arm = self.samples[:count], self.arm
+        stamps = 10**9 + round(arm.sample_time * 1e9) * np.arange(len(samples))
+        if attack.lost == 0:
+            return stamps, samples
+        chance = np.random.default_rng(attack.seed).random(len(self.samples))[: len(samples)]
+        begins = chance < _LOST / attack.lost
+        kept = np.convolve(begins, np.ones(min(attack.lost, len(samples))))[: len(samples)] < 0.5
+        stamps, samples = stamps[kept], samples[kept]
+        sensors = samples[:, :2] @ arm.joints_to_sensors().T
+        ways = np.diff(sensors[:, 0], axis=0) / (np.diff(stamps) / NANOSECONDS)[:, None]
+        sensors[1:, 1] = np.where(self._plant.constants.derived, ways, sensors[1:, 1])
+        samples[:, :2] = sensors @ arm.sensors_to_joints().T
+        return stamps, samples
 
 
 def _geometric(share: FloatArray, low: float, high: float) -> FloatArray:
@@ -229,11 +255,6 @@ def _load(shares: FloatArray, sizes: ParameterSet, payload: float) -> None:
 def _aim(own: FloatArray, sensors: int) -> int:
     """Sensor that a candidate aims at."""
     return min(int(0.5 * (own[-4] + 1.0) * sensors), sensors - 1)
-
-
-def stamps_of(samples: FloatArray, period: float) -> np.ndarray:
-    """Stamps of the samples of a run [ns]."""
-    return 10**9 + round(period * 1e9) * np.arange(len(samples))
 
 
 class _DesignedRange:
@@ -287,12 +308,10 @@ class _DesignedRange:
         return member(self.chain, self._sizes, shares[_APART:])
 
     def judge(
-        self, samples: FloatArray, offsets: FloatArray
+        self, stamps: IntArray, samples: FloatArray, offsets: FloatArray
     ) -> tuple[FloatArray, FloatArray, FloatArray, bool]:
         self._monitor.reset()
-        answers = self._monitor.take_many(
-            stamps_of(samples, self.arm.sample_time), *np.ascontiguousarray(samples.swapaxes(0, 1))
-        )
+        answers = self._monitor.take_many(stamps, *np.ascontiguousarray(samples.swapaxes(0, 1)))
         # The bound is the threshold without its floor.
         state, threshold = np.asarray(answers.fault.state), np.array(answers.fault.bound)
         judged = answers.has_fault[:, None] & (state <= int(SensorState.ERROR))
@@ -300,7 +319,8 @@ class _DesignedRange:
         ratio = np.abs(answers.fault.estimate) / np.where(judged, threshold, np.inf)
         row, both = ratio.argmax(axis=0), np.arange(2)
         blamed = any(event.sensor for _, event in answers.events)
-        return ratio[row, both], threshold[row, both], row * self.arm.sample_time, blamed
+        times = (stamps[row] - stamps[0]) / NANOSECONDS
+        return ratio[row, both], threshold[row, both], times, blamed
 
 
 class _StatedRange:
@@ -360,8 +380,8 @@ class _StatedRange:
             sensor = _aim(own, n)
             count = max(int(max(0.1, 0.5 * (late + 1.0)) * len(attacker.samples)), 100)
             if attacker.simulate(attack, count):
-                samples, monitor = attacker.samples[:count], SerialSensorMonitor('', self._told)
-                stamps = stamps_of(samples, self.arm.sample_time)
+                stamps, samples = attacker.received(attack, count)
+                monitor = SerialSensorMonitor('', self._told)
                 monitor.take_many(stamps, *samples.swapaxes(0, 1))
                 found = monitor.guarantee()
                 if found is not None:
@@ -389,9 +409,9 @@ class _StatedRange:
         return member(self.chain, self._sizes, shares)
 
     def judge(
-        self, samples: FloatArray, offsets: FloatArray
+        self, stamps: IntArray, samples: FloatArray, offsets: FloatArray
     ) -> tuple[FloatArray, FloatArray, FloatArray, bool]:
-        n, stamps = samples.shape[2], stamps_of(samples, self.arm.sample_time)
+        n = samples.shape[2]
         ratios, thresholds, times = np.zeros(n), np.full(n, np.nan), np.zeros(n)
         monitor, alarms = SerialSensorMonitor('', self._told), list[Alarm]()
         chunk = max(1, round(_LOOK_EVERY / self.arm.sample_time))
@@ -408,7 +428,7 @@ class _StatedRange:
             worse = np.where(judged, ratio, 0.0) > ratios
             ratios = np.where(worse, ratio, ratios)
             thresholds = np.where(worse, found.threshold, thresholds)
-            times = np.where(worse, end * self.arm.sample_time, times)
+            times = np.where(worse, (stamps[end - 1] - stamps[0]) / NANOSECONDS, times)
         alarms = [alarm for alarm in alarms if offsets[alarm.sensor_index] == 0.0]
         for alarm in alarms:
             if alarm.basis == GUARANTEED:

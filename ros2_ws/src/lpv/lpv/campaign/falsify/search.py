@@ -10,7 +10,7 @@ import yaml
 from cmaes import CMA
 
 from lpv.bag.rosbag.writing import BagWriter
-from lpv.campaign.falsify.attack import Attack, Attacker, Finding, stamps_of
+from lpv.campaign.falsify.attack import Attack, Attacker, Finding
 from lpv.campaign.falsify.healthy_run import RATE_SCALE
 from lpv.core.serial_arm.chain import FloatArray
 from lpv.core.support.config import read_yaml
@@ -78,9 +78,9 @@ def write_worst(attacker: Attacker, worst: Finding, folder: str | Path) -> None:
     (folder / SCENARIO).write_text(yaml.safe_dump(content, sort_keys=False), encoding='utf-8')
     attacker.run(worst.attack)
     with BagWriter(folder / BAG, 'zstd_small') as writer:
-        stamps = stamps_of(attacker.samples, arm.sample_time).tolist()
-        samples = zip(stamps, *attacker.samples.swapaxes(0, 1).tolist())
-        writer.write_joint_states('/lpv/joint_states', arm.joint_names, samples)
+        stamps, samples = attacker.received(worst.attack)
+        rows = zip(stamps.tolist(), *samples.swapaxes(0, 1).tolist())
+        writer.write_joint_states('/lpv/joint_states', arm.joint_names, rows)
 
 
 def read_attack(path: str | Path) -> tuple[Attack, float]:
@@ -90,7 +90,7 @@ def read_attack(path: str | Path) -> tuple[Attack, float]:
         attack, duration = Attack(**data['attack']), float(data['duration'])
         numbers = [*np.ravel(attack.joints), *attack.shares, *attack.offsets, attack.rest]
         numbers.append(attack.disturbance)
-        if not (np.isfinite(numbers).all() and 0.0 < duration <= LONGEST):
+        if not (np.isfinite(numbers).all() and 0.0 < duration <= LONGEST and attack.lost >= 0):
             raise ValueError(f'no finite numbers of at most {LONGEST:g} s')
     except (KeyError, TypeError, ValueError) as error:
         reason = f'is not that of lpv falsify ({error})'

@@ -157,7 +157,7 @@ def sampled(time, readings, period, smallest, share=1.0, own=None):
     """A sampler after readings whose rates are low-passed differences, and what it found."""
     n = readings.shape[1]
     derived = np.full(n, 1.0 if own is None else 0.0)
-    sampler = new_sampler(derived, np.full(n, 1e-4), np.full(n, smallest), 40, 50, np.ones(n))
+    sampler = new_sampler(derived, np.full(n, 1e-4), np.full(n, smallest), 40, 50, np.ones(n), 0.01)
     rates = np.diff(readings, axis=0, prepend=readings[:1]) / period
     rates = low_passed(rates, share) if own is None else own
     found = []

@@ -96,6 +96,7 @@ class Parts(NamedTuple):
     certified: Certified
     beyond: FloatArray
     recent: FloatArray  # (2 B, 3 n + 4) the B blocks of each of the last two intervals
+    lost: FloatArray  # (2 B, n) what samples lost in these may hide, as of `Sampler.lost`
 
 
 @njit_in_place
@@ -214,10 +215,11 @@ def decide(parts: Parts) -> None:
     window, null, level, interval = horizon.window, horizon.null, horizon.level, bank.interval
     plan = interval, round(interval / state.sample_time)
     if state.stage == _TAKE:
-        _copy_recent(parts.sampler, parts.recent)
+        _copy_recent(parts.sampler, parts.recent, parts.lost)
         if state.guarantees:
             edges = readings_at_edges(parts.sampler)
-            take_healthy(parts.healthy, window, parts.balance, parts.recent, edges, state.learns)
+            blocks = parts.recent, parts.lost
+            take_healthy(parts.healthy, window, parts.balance, blocks, edges, state.learns)
         take_balances(horizon, parts.balance, state.now, state.learns)
         if leave_out_missing(window, parts.sampler, state.held):
             weigh_all(horizon, 1)
@@ -261,11 +263,13 @@ def decide(parts: Parts) -> None:
 
 
 @njit_in_place
-def _copy_recent(sampler: Sampler, recent: FloatArray) -> None:
+def _copy_recent(sampler: Sampler, recent: FloatArray, lost: FloatArray) -> None:
     """Copy the last blocks, oldest first."""
     count, capacity = recent.shape[0], sampler.blocks.shape[0]
     first = sampler.counters[BLOCKS] - count
     for k in range(count):
-        row = sampler.blocks[(first + k) % capacity]
-        for c in range(row.shape[0]):
-            recent[k, c] = row[c]
+        at = (first + k) % capacity
+        for c in range(recent.shape[1]):
+            recent[k, c] = sampler.blocks[at, c]
+        for i in range(lost.shape[1]):
+            lost[k, i] = sampler.lost[at, i]

@@ -75,25 +75,30 @@ def generator_count(sizes: ParameterSet) -> int:
 
 @njit
 def add_healthy_blocks(
-    balance: HealthyBalance, blocks: FloatArray, rate_noise: FloatArray
+    balance: HealthyBalance, blocks: FloatArray, lost: FloatArray, rate_noise: FloatArray
 ) -> float:
     """Add the blocks of the current interval, and return its length [s].
 
-    ``blocks`` are as `Sampler.blocks`, ``rate_noise``, shape (n,), has standard deviations of mean
-    joint rates of a block [rad/s].
+    ``blocks`` and ``lost`` are as those of `Sampler`, ``rate_noise``, shape (n,), has standard
+    deviations of mean joint rates of a block [rad/s].
     """
-    length = 0.0
+    length, own = 0.0, 3 * rate_noise.shape[0] + 1
     for k in range(blocks.shape[0]):
-        _add_block(balance, blocks[k], blocks.shape[0], rate_noise)
-        length += blocks[k, 3 * rate_noise.shape[0] + 1]
+        length += blocks[k, own]
+    for k in range(blocks.shape[0]):
+        _add_block(balance, blocks[k], lost[k], blocks[k, own] / length, rate_noise)
     return length
 
 
 @njit
 def _add_block(
-    balance: HealthyBalance, block: FloatArray, count: int, rate_noise: FloatArray
+    balance: HealthyBalance,
+    block: FloatArray,
+    lost: FloatArray,
+    part: float,
+    rate_noise: FloatArray,
 ) -> None:
-    """Add the means of some samples to the current interval of so many blocks."""
+    """Add the means of some samples, which are that part of the current interval."""
     n = rate_noise.shape[0]
     chain, q, v, hat = balance.chain, balance.motion[0], balance.motion[1], balance.hat
     map_vector(balance.to_joints, block[:n], q)
@@ -133,10 +138,10 @@ def _add_block(
         half, even, sizes = 0.0, 0.0, balance.sizes
         if began:
             half = 0.5 * abs(v[i] - balance.last[1, i])
-            even = length * abs(force - balance.last[2, i]) / (8.0 * count)
+            even = part * length * abs(force - balance.last[2, i]) / 8.0
             for a in range(n):
                 change = abs(balance.matrix[i, a] * (v[a] - balance.last[1, a]))
-                even += turn * change / (12.0 * count)
+                even += part * turn * change / 12.0
         doubt = half + SIGMAS * rate_noise[i]
         slowest, fastest = max(abs(v[i]) - doubt, 0.0), abs(v[i]) + doubt
         missed = tolerated(sizes.tolerance[i], slowest, fastest)
@@ -150,11 +155,12 @@ def _add_block(
             most = row[COULOMB] + sizes.coulomb[i] + share * abs(torque[i])
             uneven = max(uneven, most / max(1.0 - share, SAME) + dry * abs(sign))
         missed = length * (uneven + product + max(acts, 1.0) * missed)
+        hides = max(acts, 1.0) * lost[i]  # anywhere in the block
         bend = row[VISCOUS] + dry * slope * (2.0 / np.pi) / (1.0 + (slope * v[i]) ** 2)
         noise = (length * bend * rate_noise[i]) ** 2
         slack, rest, rising, falling = span + SLACK, 1.0 - place, hat.rising[1, i], hat.falling[i]
-        rising[slack] += place * missed + even
-        falling[slack] += rest * missed + even
+        rising[slack] += place * missed + even + (place + 0.5 * part) * hides
+        falling[slack] += rest * missed + even + (rest + 0.5 * part) * hides
         rising[span + VARIANCE] += place * place * noise
         falling[span + VARIANCE] += rest * rest * noise
         balance.last[2, i] = force

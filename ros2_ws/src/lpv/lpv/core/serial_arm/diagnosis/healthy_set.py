@@ -103,22 +103,23 @@ def take_healthy(
     ring: HealthyRing,
     window: Window,
     balance: Balance,
-    blocks: FloatArray,
+    blocks: tuple[FloatArray, FloatArray],
     edges: float,
     learn: bool,
 ) -> None:
     """Take the ``balance`` that the horizon's ``window`` is about to take.
 
-    ``blocks``, shape (2 B, 3 n + 4), are those of its two intervals of B blocks, ``edges`` as of
-    `readings_at_edges`.  What leaves the horizon is remembered if ``learn``.
+    ``blocks``, shape (2 B, 3 n + 4), are those of its two intervals of B blocks, with what lost
+    samples hide of them, shape (2 B, n); ``edges`` as of `readings_at_edges`.  What leaves the
+    horizon is remembered if ``learn``.
     """
-    capacity, last = ring.effects.shape[0], blocks.shape[0] // 2
+    capacity, last = ring.effects.shape[0], blocks[0].shape[0] // 2
     if ring.balance.hat.length[0] == 0.0:
-        _add(ring, balance.hat.rows, blocks[:last], 0)
+        _add(ring, balance.hat.rows, blocks[0][:last], blocks[1][:last], 0)
     if window.counters[COUNT] == capacity:
         remember(ring, window, slot(window, capacity - 1), learn, PAST_WEIGHT)
     at, n = window.counters[NEXT] % capacity, ring.mean_noise.shape[0]
-    _add(ring, balance.hat.rows, blocks[last:], at)
+    _add(ring, balance.hat.rows, blocks[0][last:], blocks[1][last:], at)
     # Poses change little within n balances: one sensor in each stands for all.
     sensor = window.counters[NEXT] % n
     means = edges if balance.derived[sensor] > 0.0 else 2.0
@@ -127,9 +128,11 @@ def take_healthy(
 
 
 @njit_in_place
-def _add(ring: HealthyRing, rows: FloatArray, blocks: FloatArray, at: int) -> None:
+def _add(
+    ring: HealthyRing, rows: FloatArray, blocks: FloatArray, lost: FloatArray, at: int
+) -> None:
     """Take one interval; what its balance may leave goes into a place of the rings."""
-    length = add_healthy_blocks(ring.balance, blocks, ring.block_noise)
+    length = add_healthy_blocks(ring.balance, blocks, lost, ring.block_noise)
     close_healthy_interval(
         ring.balance, length, rows, ring.mean_reading, ring.effects[at], ring.doubts[at]
     )

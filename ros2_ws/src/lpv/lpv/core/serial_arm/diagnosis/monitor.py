@@ -206,7 +206,13 @@ class SerialMonitor:
         self._rate_sources = RateSources(arm)
         probe = self._rate_sources.probe
         self.sampler: Sampler = new_sampler(
-            self.estimator.balance.derived, usual, smallest, capacity, probe, self.scales
+            self.estimator.balance.derived,
+            usual,
+            smallest,
+            capacity,
+            probe,
+            self.scales,
+            arm.sample_time,
         )
         self.readings = Readings(self.sampler, self.estimator, arm.sample_time)
         self.sensors = [SensorRecord() for _ in range(n)]
@@ -222,7 +228,8 @@ class SerialMonitor:
         held = 2 * self.plan.per_interval + DELAY
         self._memory = new_record(DECISION, sample_time=arm.sample_time, held=held)
         self._state, self._beyond = plain(self._memory), np.zeros((2, n))
-        self._recent = np.zeros((2 * self.plan.blocks, 3 * n + 4))
+        count = 2 * self.plan.blocks
+        self._recent = np.zeros((count, 3 * n + 4)), np.zeros((count, n))
         self._join()
         self.apply_settings()
 
@@ -231,7 +238,7 @@ class SerialMonitor:
         one = self.estimator
         self.parts = Parts(
             memory(self._memory), self.sampler, one.balance, one.horizon, self._healthy.ring,
-            self.bank.parts, one.prior, self._known, self._certified, self._beyond, self._recent,
+            self.bank.parts, one.prior, self._known, self._certified, self._beyond, *self._recent,
         )  # fmt: skip
 
     @property

@@ -77,8 +77,10 @@ class Sampler(NamedTuple):
     rate_error: FloatArray  # (n,) bias of the rate sensor that is removed [rad/s]
     derived: FloatArray  # 1 where the rate is derived from the reading, shape (n,)
     sums: FloatArray  # integrals over the current block, shape (3, n)
+    hidden: FloatArray  # (n,) what samples lost in it may hide of torques, at most [N m s]
     # (capacity, 3 n + 4) ring: y, v, tau of blocks; mean time, length, place, error of stamps
     blocks: FloatArray
+    lost: FloatArray  # (capacity, n) ring: ``hidden`` of these blocks
     found: IntArray  # `NONE` or what else of the last sample, shape (n,)
     size: FloatArray  # height of a jump that was found, or may be hidden, shape (n,) [rad]
     since: IntArray  # samples since that step, itself included, shape (n,)
@@ -103,6 +105,7 @@ class Sampler(NamedTuple):
     probe: FloatArray  # (P, 2 n + 1) samples in a row as they came: time, readings, rates
     counters: IntArray  # (6,)
     clock: FloatArray  # moments, shape (9,) [s]
+    period: float  # sample time of the file [s]
 
 
 def new_sampler(
@@ -112,12 +115,13 @@ def new_sampler(
     capacity: int,
     probe: int,
     unit: FloatArray,
+    period: float,
 ) -> Sampler:
     """A sampler without samples, for ``capacity`` blocks, and a probe of so many samples.
 
     ``derived``, shape (n,), is 1 where a rate is derived from its reading.  ``scale`` is the usual
     size of e to begin with, ``smallest`` the smallest jump, ``unit`` what counts as much as 1 rad,
-    shape (n,) [rad].
+    shape (n,) [rad]; ``period`` is the sample time [s].
     """
     n = len(derived)
     counters = np.zeros(6, np.int64)
@@ -126,13 +130,13 @@ def new_sampler(
         np.zeros(HISTORY), np.zeros((HISTORY, 3, n)), np.zeros((HISTORY, n)), scale.copy(),
         scale.copy(), scale * scale, smallest.copy(), unit.copy(),
         np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n),
-        derived.copy(), np.zeros((3, n)), np.zeros((capacity, 3 * n + 4)), np.zeros(n, np.int64),
-        np.zeros(n), np.zeros(n, np.int64),
+        derived.copy(), np.zeros((3, n)), np.zeros(n), np.zeros((capacity, 3 * n + 4)),
+        np.zeros((capacity, n)), np.zeros(n, np.int64), np.zeros(n), np.zeros(n, np.int64),
         np.zeros(n), np.full(n, np.inf), np.zeros(n, np.int64), np.zeros(n, np.int64), np.zeros(n),
         np.zeros(n), np.full(n, np.inf), np.zeros((4, n)),
         np.zeros(n, np.int64), np.zeros((HISTORY, n), np.int64), np.zeros(n, np.int64),
         np.zeros((4, n)), np.zeros((8, n)), np.zeros((probe, 2 * n + 1)), counters,
-        np.zeros(9))  # fmt: skip
+        np.zeros(9), period)  # fmt: skip
 
 
 @njit_in_place

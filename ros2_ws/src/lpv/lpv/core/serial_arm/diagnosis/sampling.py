@@ -135,6 +135,10 @@ def move_to_balance(sampler: Sampler, balance: Balance, per_block: int, blocks: 
     for i in range(n):
         late = lag * (sampler.samples[k + 1, 1, i] - sampler.samples[k, 1, i])
         sampler.sums[1, i] += sampler.derived[i] * late
+    for gap in (k - 1, k):  # half of what each hides
+        if sampler.time[gap + 1] - sampler.time[gap] > sampler.period:
+            for i in range(n):
+                sampler.hidden[i] += 0.5 * _hidden(sampler, gap, i)
     sampler.clock[BLOCK_LENGTH] += length
     sampler.clock[TIMES] += length * now
     if sampler.clock[LATE_FROM] < now < sampler.clock[LATE_UNTIL]:
@@ -146,6 +150,22 @@ def move_to_balance(sampler: Sampler, balance: Balance, per_block: int, blocks: 
     if sampler.counters[IN_INTERVAL] < blocks:
         return False
     return _close_interval(sampler, balance, blocks)
+
+
+@njit_in_place
+def _hidden(sampler: Sampler, k: int, i: int) -> float:
+    """Largest error of a torque's integral by the trapezoid from sample k to the next one [N m s].
+
+    An effort is the mean of the period before it.  In the rest of a longer gap the torque may have
+    been as at either end, or have gone on as it changed before and after.
+    """
+    torque, time = sampler.samples[:, 2, i], sampler.time
+    gap, change = time[k + 1] - time[k], abs(torque[k + 1] - torque[k])
+    for j in (k - 1, k + 1):
+        if j > 0 or sampler.counters[COUNT] >= HISTORY:  # else it is of before the start
+            slope = abs(torque[j + 1] - torque[j]) / (time[j + 1] - time[j])
+            change = max(change, gap * slope)
+    return 0.5 * (gap - sampler.period) * change
 
 
 @njit_in_place
@@ -172,11 +192,13 @@ def _close_block(sampler: Sampler, blocks: int) -> None:
     """Keep the means of the block."""
     n, count = sampler.scale.shape[0], sampler.counters[IN_BLOCK]
     capacity, length = sampler.blocks.shape[0], sampler.clock[BLOCK_LENGTH]
-    row = sampler.blocks[sampler.counters[BLOCKS] % capacity]
-    for part in range(3):
-        for i in range(n):
+    at = sampler.counters[BLOCKS] % capacity
+    row = sampler.blocks[at]
+    for i in range(n):
+        for part in range(3):
             row[part * n + i] = sampler.sums[part, i] / length
             sampler.sums[part, i] = 0.0
+        sampler.lost[at, i], sampler.hidden[i] = sampler.hidden[i], 0.0
     row[3 * n] = sampler.clock[TIMES] / length
     if sampler.counters[COUNT] > HISTORY + 2 * blocks * count:
         _calm_rates(sampler, row, sampler.blocks[(sampler.counters[BLOCKS] - blocks) % capacity])
@@ -211,6 +233,7 @@ def restart(sampler: Sampler, balance: Balance) -> None:
     sampler.doubtful[:] = 0
     sampler.filled[:] = 0
     sampler.sums[:] = 0.0
+    sampler.hidden[:] = 0.0
     sampler.clock[LATE_FROM:] = 0.0
     drop_interval(balance)
 
