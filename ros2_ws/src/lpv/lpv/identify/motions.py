@@ -5,11 +5,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
 from lpv.bag.rosbag.writing import BagWriter
 from lpv.core.serial_arm.description import N_INERTIAL, SerialArm
 from lpv.core.serial_arm.dynamics.kinematics import joint_frames
+from lpv.core.support.config import write_yaml
 from lpv.identify.errors import IdentificationError
 from lpv.identify.model.friction import SLOPE, friction_columns, join_columns
 from lpv.identify.model.rigid_body import RigidBody, find_base_parameters, joint_torques
@@ -231,7 +231,7 @@ def write_reference(
         stamps = (round((1.0 + t) * 1e9) for t in time)
         writer.write_joint_states(TOPIC, names, zip(stamps, *signals))
     for file, content in zip(files[1::2], (_message(names, trajectory), _scenario(trajectory))):
-        file.write_text(yaml.safe_dump(content, sort_keys=False, width=110))
+        write_yaml(file, content)
     return files
 
 

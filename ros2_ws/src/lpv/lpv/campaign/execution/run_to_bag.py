@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
 from lpv.bag.replay.replay import Replay
 from lpv.bag.rosbag.messages import BagMessages
@@ -16,7 +15,7 @@ from lpv.campaign.execution.runs import RunPlan
 from lpv.core.monitoring.serial_monitor import SerialSensorMonitor
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.simulation.closed_loop import Run
-from lpv.core.support.config import write_parameters
+from lpv.core.support.config import write_parameters, write_yaml
 from lpv.core.support.errors import ConfigError
 from lpv.core.support.timestamps import NANOSECONDS
 
@@ -48,8 +47,7 @@ def write_run_bag(plan: RunPlan, run: Run, out: str | Path) -> None:
         }
         write_parameters(whole / 'parameters.yaml', own)
         for name, data in plan.files.items():
-            text = yaml.safe_dump(data, sort_keys=False)
-            (whole / f'{name}.yaml').write_text(text, encoding='utf-8')
+            write_yaml(whole / f'{name}.yaml', data)
         if plan.gains is not None:
             text = f'Gains of run {plan.number} ({plan.scenario.name}).'
             plan.gains.save(whole / 'gains.yaml', text)

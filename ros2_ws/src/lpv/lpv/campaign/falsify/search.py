@@ -6,14 +6,13 @@ from itertools import cycle
 from pathlib import Path
 
 import numpy as np
-import yaml
 from cmaes import CMA
 
 from lpv.bag.rosbag.writing import BagWriter
 from lpv.campaign.falsify.attack import Attack, Attacker, Finding
 from lpv.campaign.falsify.healthy_run import RATE_SCALE
 from lpv.core.serial_arm.chain import FloatArray
-from lpv.core.support.config import read_yaml
+from lpv.core.support.config import read_yaml, write_yaml
 from lpv.core.support.errors import ConfigError
 
 SCENARIO, BAG = 'worst.yaml', 'worst_bag'
@@ -75,7 +74,7 @@ def write_worst(attacker: Attacker, worst: Finding, folder: str | Path) -> None:
         'duration': len(attacker.samples) * arm.sample_time,
         'attack': asdict(worst.attack),
     }
-    (folder / SCENARIO).write_text(yaml.safe_dump(content, sort_keys=False), encoding='utf-8')
+    write_yaml(folder / SCENARIO, content)
     attacker.run(worst.attack)
     with BagWriter(folder / BAG, 'zstd_small') as writer:
         stamps, samples = attacker.received(worst.attack)

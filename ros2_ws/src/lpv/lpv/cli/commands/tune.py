@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 import optuna
-import yaml
 from rich.console import Console
 from scipy import stats
 
@@ -21,7 +20,7 @@ from lpv.campaign.execution.execute import chunks_of, worker_pool
 from lpv.campaign.plan.campaign import load_campaign
 from lpv.campaign.plan.spec import NO_FAULT, TUNING
 from lpv.core.monitoring.parameters import DiagnosisParameters
-from lpv.core.support.config import read_yaml, sha256_of, write_parameters
+from lpv.core.support.config import read_yaml, sha256_of, write_parameters, write_yaml
 from lpv.core.support.errors import ConfigError
 from lpv.core.support.limits import LARGEST
 from lpv.core.support.resources import bringup_file
@@ -297,8 +296,7 @@ def _validate(bench: _Bench, values: dict[str, float], seed: int) -> dict[str, A
 def _write(bench: _Bench, values: dict[str, float], folder: Path) -> None:
     """Requirement and gains, verified as the nodes will; parameters if the diagnosis was tuned."""
     requirement = folder / 'requirement.yaml'
-    content = yaml.safe_dump(bench.content(values), sort_keys=False)
-    requirement.write_text(f'# Found by lpv tune.\n{content}', encoding='utf-8')
+    write_yaml(requirement, bench.content(values), 'Found by lpv tune.')
     tuned: dict[str, Any] = {
         name[10:]: value for name, value in values.items() if name.startswith('diagnosis.')
     }

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
 from lpv.core.serial_arm.chain import MAX_JOINTS
 from lpv.core.serial_arm.description import (
@@ -23,7 +22,7 @@ from lpv.core.serial_arm.description import (
 )
 from lpv.core.serial_arm.old_arm_file import parse_two_links
 from lpv.core.serial_arm.urdf_chain import read_urdf_chain
-from lpv.core.support.config import Section, read_yaml, write_whole
+from lpv.core.support.config import Section, read_yaml, write_yaml
 from lpv.core.support.entries import plain_entries, read_entries
 from lpv.core.support.errors import ConfigError, each, kept, raise_all
 from lpv.core.support.limits import FAR
@@ -34,7 +33,7 @@ _OLD_FORM = (
 )
 _SMALLEST_DETERMINANT = 1e-6
 """Of a matrix of sensors that tell the joints' positions; smaller ones count as singular."""
-_HEADER = '# docs/arm-file.md describes the fields.\n'
+_HEADER = 'docs/arm-file.md describes the fields.'
 
 
 def load_arm(path: str | Path) -> SerialArm:
@@ -163,9 +162,7 @@ def save_arm(arm: SerialArm, path: str | Path) -> None:
     """
     path, content = Path(path), to_mapping(arm)
     parse_arm(content, f'{path} is not written', path.parent)
-    layout: dict[str, Any] = {'default_flow_style': None, 'width': math.inf}  # a matrix by rows
-    text = yaml.dump(content, Dumper=_Dumper, sort_keys=False, allow_unicode=True, **layout)
-    write_whole(path, _HEADER + text)
+    write_yaml(path, content, _HEADER)
 
 
 def to_mapping(arm: SerialArm) -> dict[str, Any]:
@@ -180,13 +177,6 @@ def to_mapping(arm: SerialArm) -> dict[str, Any]:
                 del joint[name]
     last = ('joints', 'sensor_matrix', 'lpv', 'covariance')
     return {name: result[name] for name in sorted(result, key=lambda name: name in last)}
-
-
-class _Dumper(yaml.SafeDumper):
-    """Safe dumper that writes what stands at several places at each."""
-
-    def ignore_aliases(self, data: Any) -> bool:
-        return True
 
 
 def _joints(

@@ -1,4 +1,4 @@
-"""Reading of YAML files: safe loader, bounded size, errors that name the field."""
+"""YAML files: safe loader, bounded size, errors that name the field; writing."""
 
 import hashlib
 import math
@@ -38,6 +38,13 @@ class _Loader(getattr(yaml, 'CSafeLoader', yaml.SafeLoader)):  # type: ignore[mi
                 )
             seen.add(name)
         return super().construct_mapping(node, deep)
+
+
+class _Dumper(yaml.SafeDumper):
+    """Safe dumper that writes what stands at several places at each."""
+
+    def ignore_aliases(self, data: object) -> bool:
+        return True
 
 
 def _short(value: object) -> str:
@@ -97,12 +104,15 @@ def write_parameters(path: str | Path, parameters: dict[str, Any], comment: str 
 
     ``comment`` goes to the head of the file; parent directories are made.
     """
-    head = ''.join(f'# {line}\n' for line in comment.splitlines())
-    data = {'/**': {'ros__parameters': parameters}}
-    # A parameter in a line, however long it is.
-    text = yaml.safe_dump(data, sort_keys=False, default_flow_style=None, width=math.inf)
     Path(path).parent.mkdir(parents=True, exist_ok=True)
-    write_whole(path, head + text)
+    write_yaml(path, {'/**': {'ros__parameters': parameters}}, comment)
+
+
+def write_yaml(path: str | Path, data: object, comment: str = '') -> None:
+    """Write a YAML file: groups of plain values in a line each, however long, after a comment."""
+    head = ''.join(f'# {line}\n' for line in comment.splitlines())
+    layout: dict[str, Any] = {'sort_keys': False, 'default_flow_style': None, 'width': math.inf}
+    write_whole(path, head + yaml.dump(data, Dumper=_Dumper, allow_unicode=True, **layout))
 
 
 def write_whole(path: str | Path, content: str | bytes, sync: bool = False) -> None:
