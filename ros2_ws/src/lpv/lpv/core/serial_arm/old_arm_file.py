@@ -38,7 +38,8 @@ def parse_two_links(data: dict[str, Any], source: str = 'arm') -> SerialArm:
     file = read_entries(_File, top, links=lambda: _links(top))
     # Rotor 2 is carried by link 1: R = Ir*[[gr^2+1, -gr], [-gr, gr^2]].
     inertia, ratio = file.rotor_inertia, file.gear_ratio
-    rotor = inertia * (ratio**2 + 1.0), -inertia * ratio, inertia * ratio**2
+    # Without a rotor 0.0, not -0.0, whose hash is another one.
+    rotor = inertia * (ratio**2 + 1.0), 0.0 - inertia * ratio, inertia * ratio**2
     arm = replace(file, rotor=rotor, coulomb_slope=(file.slope, file.slope))
     if not arm.is_physical():
         raise top.error(
