@@ -14,6 +14,7 @@ from rclpy.duration import Duration
 from rclpy.exceptions import ParameterException
 from rclpy.executors import Executor, SingleThreadedExecutor
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 from rclpy.subscription import Subscription
@@ -73,7 +74,10 @@ class ManagedNode(LifecycleNode):
         super().__init__(name, start_parameter_services=False)
         self._checked_parameters = CheckedParameterService(self)
         declare(self, (*COMMON, *specs))
+        tunable = tuple(tunable)
         declare(self, tunable, read_only=False)
+        self._tunable = {one.name for one in tunable}
+        self.add_post_set_parameters_callback(self._say_changes)
         self.lockstep = self.get_parameter('lockstep').value
         self.exit_code = 0
         self.finished = False  # set where the main loop is to stop
@@ -135,6 +139,12 @@ class ManagedNode(LifecycleNode):
         self._take_down()
         super().on_error(state)
         return TransitionCallbackReturn.SUCCESS
+
+    def _say_changes(self, parameters: list[Parameter]) -> None:
+        """Log what was set while the node runs: alarms before and after depend on it."""
+        for parameter in parameters:
+            if parameter.name in self._tunable:
+                self.get_logger().info(f'{parameter.name} is {parameter.value} now')
 
     def _leave(self) -> None:
         self._taking_part = False

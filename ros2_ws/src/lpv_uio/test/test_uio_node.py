@@ -9,6 +9,7 @@ from bag_messages import JOINT_STATE
 from bags import contents, write_bag
 from diagnostic_msgs.msg import DiagnosticArray
 from hostile import RECOVERY, Output, Refused, forge, node_of, run_cases, set_parameters
+from rclpy.parameter import Parameter
 from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import JointState
 from serial_bags import TOPIC, crane_file, crane_run, record_crane
@@ -449,3 +450,11 @@ def test_given_numbers_that_are_nan_when_put_into_messages_then_they_are_not_tru
     )
     assert (first.kind, first.size, first.bound) == ('bias', 0.3, 0.01)
     assert (second.kind, second.size, second.bound) == ('drift', 0.0, np.inf)
+
+
+def test_given_a_running_node_when_tuned_then_its_log_says_so_and_not_what_is_refused(capfd):
+    with node_of(UioNode, arm_file='paper') as node:
+        for value in (5.0, 500.0):
+            node.set_parameters([Parameter('diagnosis.sigmas', value=value)])
+    said = capfd.readouterr().err
+    assert said.count('diagnosis.sigmas is') == 1 and 'diagnosis.sigmas is 5.0 now' in said
