@@ -33,7 +33,7 @@ class PaperPlant:
         planar = planar.with_payload(scenario.payload) if scenario.payload else planar
         self._joints, self._constants = JointMap(planar), planar.constants(False)
         self._box, self._weights = sinc_box(scenario.sinc_min), np.zeros(8)
-        self._pose = np.zeros((2, 3))
+        self._pose = np.zeros((3, 3))
         self._lower: FloatArray | None = None  # rows of A_i and B_i that give theta''
         if scenario.plant == 'lpv':
             lower = np.dstack(vertex_matrices(self._box, self._constants))[:, 2:]

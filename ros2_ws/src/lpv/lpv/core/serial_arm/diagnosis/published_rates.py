@@ -137,6 +137,11 @@ def _late_rates(sampler: Sampler, share: float) -> float:
     """Periods by which published rates are late, if a share of what they differ by shows it."""
     late, power, whole = 0.0, 0.0, 0.0
     for i in range(sampler.derived.shape[0]):
+        whole += sampler.published[3, i]
+    if whole == 0.0:  # they do not differ, or have sensors of their own
+        return 0.0
+    whole = 0.0
+    for i in range(sampler.derived.shape[0]):
         one = sampler.unit[i] ** 2
         late += sampler.published[1, i] / one
         power += sampler.published[2, i] / one

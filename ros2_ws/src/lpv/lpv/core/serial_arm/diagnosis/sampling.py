@@ -89,8 +89,8 @@ def push_sample(
         sampler.samples[HISTORY - 1, 0, i] = reading
         rate = v[i] - sampler.derived[i] * (sampler.drift[i] + sampler.share[i] * v[i])
         rate -= sampler.rate_error[i]
-        first = HISTORY - 1 if follows else 0  # nothing is known of before
-        for k in range(first, HISTORY):
+        sampler.samples[HISTORY - 1, 1, i] = rate
+        for k in range(0 if follows else HISTORY - 1):  # nothing is known of before
             sampler.samples[k, 1, i] = rate
         is_measured = np.isfinite(torque[i])
         sampler.measured[i] = sampler.measured[i] + 1.0 if is_measured else 0.0

@@ -45,7 +45,7 @@ UNKNOWN_TORQUE = record_type(
 """What a healthy arm may do that its model does not say."""
 
 MOTION = record_type(
-    ('pose', 'f8', (2, 3)),  # of theta^, as of `lpv.core.uio.model.dynamics.set_pose`
+    ('pose', 'f8', (3, 3)),  # of theta^, as of `lpv.core.uio.model.dynamics.set_pose`
     ('rate', 'f8', (2,)),  # v [rad/s]
     ('innovation', 'f8', (2,)),  # r [rad/s]
     ('driven', 'f8', (2, 2)),  # theta^''_j + mu_i r_j [rad/s2]

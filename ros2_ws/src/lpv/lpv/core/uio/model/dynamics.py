@@ -17,14 +17,19 @@ from lpv.core.support.jit import njit_in_place as njit
 
 Pair = Any
 """Values of both links: an array or a tuple, of which the first two count."""
-COSINE, SINE = range(2)
-"""Rows of a pose, shape (2, 3): of theta1, theta2 and theta1 - theta2."""
+COSINE, SINE, ANGLE = range(3)
+"""Rows of a pose, shape (3, 3): of theta1, theta2 and theta1 - theta2.  In place of the last angle
+is whether there are any."""
 
 
 @njit
 def set_pose(pose: np.ndarray, theta: Pair) -> None:
-    """Write cosines and sines of absolute angles, which many terms share."""
+    """Write cosines and sines of absolute angles, which many terms share, unless they are there."""
+    if pose[ANGLE, 2] == 1.0 and pose[ANGLE, 0] == theta[0] and pose[ANGLE, 1] == theta[1]:
+        return
+    pose[ANGLE, 2] = 1.0
     for i in range(2):
+        pose[ANGLE, i] = theta[i]
         pose[COSINE, i], pose[SINE, i] = math.cos(theta[i]), math.sin(theta[i])
     difference = theta[0] - theta[1]
     pose[COSINE, 2], pose[SINE, 2] = math.cos(difference), math.sin(difference)

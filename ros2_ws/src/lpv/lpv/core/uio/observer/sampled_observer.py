@@ -68,7 +68,7 @@ OBSERVER_CONSTANTS = record_type(
 )
 OBSERVER_STATE = record_type(
     ('x', 'f8', (6,)),  # x^ = (theta^, theta^', f^): absolute angles, physical sensors [rad]
-    ('pose', 'f8', (2, 3)),  # of theta^, as of `set_pose`
+    ('pose', 'f8', (3, 3)),  # of theta^, as of `set_pose`
     ('held', 'u1', (2,)),  # links without gravity information: dead reckoning
     # largest change of theta'' within a step of the interval, of method exact [rad/s2]
     ('bend', 'f8', (2,)),
