@@ -49,8 +49,8 @@ def alarm_fields(alarm: Alarm) -> dict[str, Any]:
 def diagnostic_fields(
     name: str,
     arm: SerialArm,
-    state: np.record,
-    fault: np.record | None,
+    state: np.void,
+    fault: np.void | None,
     values: dict[str, Any],
     note: str,
     details: tuple[dict[str, str], ...],
@@ -73,8 +73,9 @@ def diagnostic_fields(
             message += '' if is_confirmed or not note else f'; {note}'
         elif note:
             level, message = WARN, note
-        corrected = np.flatnonzero(state['compensated_position'] != state['measured_position'])
-        values['corrected joints'] = ', '.join(arm.joint_names[i] for i in corrected) or 'none'
+        pairs = zip(state['compensated_position'].tolist(), state['measured_position'].tolist())
+        corrected = (name for name, (now, read) in zip(arm.joint_names, pairs) if now != read)
+        values['corrected joints'] = ', '.join(corrected) or 'none'
     result = [_status(level, f'{name}: observer', message, arm.name, values)]
     columns: list[list[Any]] = []
     if fault is not None:

@@ -558,8 +558,9 @@ class SerialSensorMonitor:
     def _count_missing(self, answers: Answers, until: int) -> None:
         """Count measurements that were used, and those without all efforts, up to a row."""
         self._used += until - self._counted
-        missing = np.isnan(answers.samples[self._counted : until, 2]).any(axis=1)
-        self.counters.without_effort += int(missing.sum())
+        missing = np.isnan(answers.samples[self._counted : until, 2])
+        if missing.any():
+            self.counters.without_effort += int(missing.any(axis=1).sum())
         self._counted = until
 
     def _report_due(self, answers: Answers, first: int, until: int) -> None:
@@ -598,7 +599,8 @@ class SerialSensorMonitor:
     def _report(self, answers: Answers, row: int) -> None:
         self._monitor.progress['next_report'] = int(answers.stamps[row]) + _REPORT_INTERVAL
         self._note_losses(int(answers.stamps[row]))
-        state, fault = answers.state[row], answers.fault[row] if answers.has_fault[row] else None
+        answer = answers.plain[row]
+        state, fault = answer['state'], answer['fault'] if answer['has_fault'] else None
         note = self._remark(state)
         said = note if state['mode'] < Mode.STALE else unusable_text(self.counters)
         answers.reports.append((row, self._status(state, fault, said)))
@@ -626,7 +628,7 @@ class SerialSensorMonitor:
             note = self._remark(state) if mode < Mode.STALE else unusable_text(self.counters)
         return self._status(state, fault, note)
 
-    def _status(self, state: np.record, fault: np.record | None, note: str) -> list[dict[str, Any]]:
+    def _status(self, state: np.void, fault: np.void | None, note: str) -> list[dict[str, Any]]:
         values = {
             **vars(self.counters),
             'rejected messages': self.rejected,
@@ -644,10 +646,10 @@ class SerialSensorMonitor:
             self.name, self.arm, state, fault, values, note, details
         )
 
-    def _remark(self, state: np.record) -> str:
+    def _remark(self, state: np.void) -> str:
         """What else is to be said of the diagnosis as a whole, with an answer's ``state``."""
         monitor = self._monitor
-        position = state.compensated_position.tolist()
+        position = state['compensated_position'].tolist()
         if text := other_unit(self.arm, position, position):
             return _UNITS.format(text)
         missing = monitor.missing_efforts
