@@ -6,6 +6,7 @@ found as have ports open on this machine, and goes on until then.
 """
 
 import contextlib
+import faulthandler
 import os
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -23,6 +24,8 @@ if TYPE_CHECKING:
 Found = TypeVar('Found')
 _QUIET = 0.4
 """A graph that has not changed for this long is taken as known [s]."""
+_LEAVE = 12.0 * PATIENCE
+"""Longest time to leave the graph, much longer than any machine takes [s]."""
 
 
 @contextlib.contextmanager
@@ -32,10 +35,14 @@ def command_node() -> Iterator['Node']:
 
     options = {'start_parameter_services': False, 'enable_rosout': False}
     with contextlib.ExitStack() as stack:
+        stack.callback(faulthandler.cancel_dump_traceback_later)
         try:
             node, _ = stack.enter_context(node_alone(f'_ros2cli_{os.getpid()}', **options))
         except (RuntimeError, ValueError) as error:  # of rcl: no such domain, no network
             raise CliError(f'no ROS node: {" ".join(str(error).split())}') from error
+        # Where another node leaves at the same time, Fast DDS may wait for itself for ever, in a
+        # call during which Python sees no signal.
+        stack.callback(faulthandler.dump_traceback_later, _LEAVE, exit=True, file=2)
         yield node
 
 

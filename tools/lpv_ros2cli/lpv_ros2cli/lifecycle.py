@@ -33,6 +33,6 @@ def run_set(arguments: argparse.Namespace) -> None:
             raise CliError(f'Unknown transition requested, available ones are:{lines}')
         request = ChangeState.Request(transition=chosen[0])
         done = graph.call(node, ChangeState, f'{name}/change_state', request, math.inf)
-    if not done.success:
-        raise CliError('Transitioning failed')
-    print('Transitioning successful')
+        if not done.success:
+            raise CliError('Transitioning failed')
+        print('Transitioning successful', flush=True)  # leaving the graph may take its time

@@ -28,6 +28,20 @@ def test_given_the_parser_when_built_then_nothing_heavy_is_imported():
     assert subprocess.check_output([sys.executable, '-c', code]) == b'set()\n'
 
 
+STUCK = """
+import ctypes
+from lpv_ros2cli import graph
+graph._LEAVE = 0.1
+with graph.command_node() as node:
+    node.destroy_node = lambda: ctypes.PyDLL(None).sleep(600)  # as Fast DDS: Python does nothing
+"""
+
+
+def test_given_a_middleware_that_never_returns_when_left_then_the_command_ends():
+    done = subprocess.run([sys.executable, '-c', STUCK], capture_output=True, timeout=300)
+    assert done.returncode == 1 and b'Timeout' in done.stderr
+
+
 @pytest.mark.parametrize(('words', 'told'), [
     (('run', 'lpv_uio', 'nix'), "has no program 'nix', only: uio"),
     (('launch', 'lpv_nix', 'x.launch.xml'), "package 'lpv_nix': is not installed"),
