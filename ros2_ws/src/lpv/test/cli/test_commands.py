@@ -276,6 +276,17 @@ def test_given_a_urdf_when_initialised_then_the_arm_is_that_of_the_urdf(init, pa
     assert arm.torque_limit == pytest.approx(wanted.torque_limit)
 
 
+@pytest.mark.parametrize(('limit', 'kind'), [(1.9, 'x'), (1.0, 'joints')])
+def test_given_a_planar_arm_that_hardly_reaches_up_when_initialised_then_its_path_is_admitted(
+    init, paper_arm, tmp_path, limit, kind
+):
+    urdf = arm_urdf(paper_arm).replace('"continuous"', '"revolute"')
+    arm, _ = init(urdf=urdf.replace('<limit ', f'<limit lower="-{limit}" upper="{limit}" '))
+    scenario = tmp_path / 'new' / 'scenario.yaml'
+    assert f' {kind}: ' in scenario.read_text() and arm.joints[0].limits.upper == limit
+    load_scenario(scenario).path(arm)
+
+
 def test_given_links_in_no_vertical_plane_when_initialised_then_it_has_no_region(init, paper_arm):
     arm, _ = init(urdf=arm_urdf(paper_arm).replace('xyz="0 -1.0 0"', 'xyz="0 0 1"'))
     assert [joint.axis for joint in arm.joints] == [(0.0, 0.0, 1.0)] * 2 and arm.lpv is None

@@ -31,6 +31,8 @@ FILES = ('arm.yaml', 'requirement.yaml', 'scenario.yaml')
 _TEMPLATES = Path(__file__).resolve().parents[1] / 'templates'
 _TURNS = (0.4, 0.2, 0.1)
 """Turns of a joint to the waypoints that are tried, the largest that drives can hold [rad]."""
+_SIDES = (-0.7, 0.1), (0.7, -0.1), (-0.3, 0.1), (0.3, -0.1)
+"""Turns of the first link from the vertical in a region, tried until limits admit them [rad]."""
 _SLOW = 0.8
 """Way to the waypoints of a joint that is slow, in what its limit lets it go in a second [s]."""
 _HEAVY = 0.5
@@ -130,12 +132,12 @@ def _waypoints(arm: SerialArm) -> Iterator[str]:
         planar = planar_model(arm)
         # Kinematics counts q1 from the x-axis, angles of the links count from the upper vertical.
         up = math.pi / 2 if planar.sign > 0 else -math.pi / 2
-        ends = np.array([[up + side, 0.6] for side in (-0.7, 0.1, -0.7)])
-        yield '\n'.join(
-            f'    - {{t: {time}, x: {x:.4f}, y: {y:.4f}}}'
-            for time, (x, y) in zip((0.5, 6.0, 11.5), forward(ends, planar.lengths).tolist())
-        )
-        return
+        for far, near in _SIDES:
+            ends = np.array([[up + side, 0.6] for side in (far, near, far)])
+            yield '\n'.join(
+                f'    - {{t: {time}, x: {x:.4f}, y: {y:.4f}}}'
+                for time, (x, y) in zip((0.5, 6.0, 11.5), forward(ends, planar.lengths).tolist())
+            )
     low, high = np.array([joint.range for joint in arm.joints]).T
     middle, sides = 0.5 * (low + high), np.array([0.0, 1.0, -1.0, 0.0])[:, None]
     # The middle of the ranges, or a pose nearby that asks for less of the drives.
