@@ -54,6 +54,8 @@ class _Builder(ElementTree.TreeBuilder):
         self._depth += 1
         if self._depth > MAX_DEPTH:
             raise ValueError(f'elements are nested more than {MAX_DEPTH} deep')
+        if tag.startswith('xacro:'):  # which may stand for links
+            raise ValueError(f'{tag[:100]}: xacro must expand the file first')
         return super().start(tag, attrs)
 
     def end(self, tag: str) -> ElementTree.Element:
@@ -127,7 +129,7 @@ def _parse(path: Path) -> ElementTree.Element:
         parser.Parse(data, True)
         root = builder.close()
     except (expat.ExpatError, ValueError, LookupError) as error:
-        raise _error(path, f'is not XML ({error})') from error
+        raise _error(path, f'is not plain XML ({error})') from error
     if root.tag != 'robot':
         raise _error(path, f'must have the root element robot, has {root.tag[:100]!r}')
     return root

@@ -133,6 +133,7 @@ NO_ARM = {
     'missing ixy .*Link .one': ('ixy="0.001"', ''),
     'found 2 elements .*Link .two': ('<origin xyz="0 0.2 0"/>', '<origin xyz="0 0.2"/>'),
     "'pan' .* name the link at": (END, BRANCH, {'finger': 0.02}),
+    'xacro:hand: xacro must expand': (END, f'<xacro:hand parent="two"/>{END}'),
     "no link 'hand'": (END, BRANCH, {}, 'hand'),
 }
 
@@ -192,7 +193,7 @@ def deep(count, kind='fixed'):
 
 
 HOSTILE = [
-    *(('urdf: is not XML .a document type', text) for text in (
+    *(('urdf: is not plain XML .a document type', text) for text in (
         BOMB + '<robot name="&i;"><link name="l0"/></robot>',
         BOMB + URDF.replace('name="small"', 'name="&i;"'),
         '<!DOCTYPE r [<!ENTITY x SYSTEM "file:///etc/passwd">]>'
