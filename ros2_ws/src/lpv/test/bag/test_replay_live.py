@@ -81,7 +81,8 @@ def test_given_a_bag_when_played_then_a_node_hears_its_pace_and_names_the_fault(
     # Messages may be late where the machine is busy, and then seem a bit faster.
     assert last - first < 0.75 * NANOSECONDS * seconds, 'half the rate, twice the time'
     clocks = [to_nanoseconds(c.clock) for c in heard]
-    assert len(clocks) > 50 and set(np.diff(clocks)) <= {10_000_000 * n for n in range(1, 30)}
+    steps = np.diff(clocks)  # a busy machine loses some
+    assert len(clocks) > 50 and steps.min() == 10_000_000 and not (steps % 10_000_000).any()
     assert START <= clocks[0] < clocks[-1] <= START + 4 * NANOSECONDS
     assert len(arrived) > 0.5 * len(sent)
     for message in arrived:
