@@ -612,16 +612,16 @@ class SerialMonitor:
         self._contact.since = math.inf
         if not share >= 1.0 - wrong:  # also where no share can be told
             return
-        explains_more = one.gain - self._rival > self._sure
         if one.doubt is not None:
-            if explains_more:
+            if one.gain - rival > self._sure:
                 self.estimator.doubt_balances(one.doubt)
                 self._suspect_nothing()
         elif one.change is not None:
             # A fault would be forgotten with it; what that explains is not found at every decision.
             # A rate that is right again, and still corrected, looks like a load.
             rated = any(record.active for record in self.rates)
-            if explains_more and not rated and one.gain - self.bank.friction_gain() > self._sure:
+            explains_more = one.gain - self._rival > self._sure and not rated
+            if explains_more and one.gain - self.bank.friction_gain() > self._sure:
                 self._change_load(one.begin, one.change)
         elif one.is_encoder:
             if self.bank.excludes_contact(one, self.margin(one.kind)):
