@@ -14,7 +14,7 @@ SLOW, FAST = 1.0 / 30.0, 0.005
 
 
 def resampled(rates, degree, seed, *faults):
-    """Monitor after such a recording; rates are resampled, too, or slopes of the spline."""
+    """Monitor after such a recording; rates are resampled, too, or slopes of the readings'."""
     arm, rng = with_rates(shoulder_arm(), rates, sample_time=SLOW), np.random.default_rng(seed)
     slow = simulate(arm, motion_range(arm, 0.5), seed)
     slow = derived(slow) if rates == 'derived' else slow
@@ -25,14 +25,15 @@ def resampled(rates, degree, seed, *faults):
     samples[late] = slow.samples[late - 1]
     time, fine = SLOW * np.arange(len(samples)), np.arange(0.0, 19.9, FAST)
     samples_fine = make_interp_spline(time, samples, degree)(fine)
-    if rates == 'derived':
+    if rates == 'derived' and degree > 1:
         samples_fine[:, 1] = CubicSpline(time, samples[:, 0])(fine, 1)
-    stamps = 1 + np.round(1e9 * fine).astype(np.int64)
-    return watch(with_rates(arm, rates, sample_time=FAST), Stream(stamps, samples_fine))
+    run = Stream(1 + np.round(1e9 * fine).astype(np.int64), samples_fine)
+    run = derived(run) if rates == 'derived' and degree == 1 else run
+    return watch(with_rates(arm, rates, sample_time=FAST), run)
 
 
 WAYS = pytest.mark.parametrize(
-    ('rates', 'degree'), [('derived', 3), ('independent', 3), ('independent', 1)]
+    ('rates', 'degree'), [('derived', 3), ('derived', 1), ('independent', 3), ('independent', 1)]
 )
 
 

@@ -219,8 +219,16 @@ def mean_rate(sampler: Sampler, i: int) -> float:
 
 @njit_in_place
 def steady_rate(sampler: Sampler, i: int) -> float:
-    """Rate of a joint at the last sample but one that its own jump does not change [rad/s]."""
-    return usual_rate(sampler, i) if sampler.derived[i] == 1.0 else mean_rate(sampler, i)
+    """Rate of a joint at the last sample but one that its own jump does not change [rad/s].
+
+    A reading that rested and has gone on for two samples moves, whatever it did before.
+    """
+    if sampler.derived[i] == 0.0:
+        return mean_rate(sampler, i)
+    own, after = sampler.samples[HISTORY - 2, 1, i], sampler.samples[HISTORY - 1, 1, i]
+    usual, period = usual_rate(sampler, i), sampler.time[HISTORY - 1] - sampler.time[HISTORY - 2]
+    rested = abs(usual) * period <= ROUNDING
+    return float(after) if rested and own * after > 0.0 else usual
 
 
 @njit_in_place
