@@ -151,18 +151,53 @@ def test_given_a_short_search_when_run_then_it_comes_near_and_never_across(arm, 
     assert 0.4 < found[0].ratio < 1.0 and not any(one.blamed for one in found)
 
 
+def planar_attacker(arm, gains, duration, velocity_error=0.0, **changes):
+    """Attacker of a planar arm that is its model, without disturbance and, nearly, noise."""
+    lpv = replace(arm.lpv, disturbance_mean=0.0, disturbance_variance=0.0)
+    lpv = replace(lpv, velocity_error=velocity_error)
+    arm = with_sensors(arm, position_noise=1e-6, velocity_noise=1e-5)
+    arm = replace(arm, lpv=lpv, uncertainty=Uncertainty(model_error=0.0), **changes)
+    quiet = replace(gains.observer, fault_sigma=np.full(2, 1e-6))
+    hashed = planar_model(arm).sha256()
+    return Attacker(arm, duration, replace(gains, arm_sha256=hashed, observer=quiet))
+
+
 def test_given_fast_motion_between_few_samples_then_bounds_cover_it(paper_arm, paper_gains):
-    lpv = replace(paper_arm.lpv, disturbance_mean=0.0, disturbance_variance=0.0)
-    arm = with_sensors(paper_arm, position_noise=1e-6, velocity_noise=1e-5)
-    arm = replace(arm, sample_time=0.01, lpv=lpv, uncertainty=Uncertainty(model_error=0.0))
-    quiet = replace(paper_gains.observer, fault_sigma=np.full(2, 1e-6))
-    gains = replace(paper_gains, arm_sha256=planar_model(arm).sha256(), observer=quiet)
-    attacker = Attacker(arm, 3.0, gains)
+    attacker = planar_attacker(paper_arm, paper_gains, 3.0, sample_time=0.01)
     for phase in (-0.5, 0.0, 0.5):
         candidate = np.zeros(attacker.numbers)
         candidate[2:6], candidate[7], candidate[8] = 0.9, phase, 1.0
         found = attacker.run(attacker.attack(candidate, 1))
         assert 0.1 < found.ratio < 1.0 and found.thresholds.max() < 0.02
+
+
+def test_given_rates_that_read_too_little_when_an_arm_moves_at_the_start_then_its_bound_holds(
+    real_arm, real_gains
+):
+    attacker = planar_attacker(real_arm, real_gains, 2.1, velocity_error=0.015)
+    attack = attacker.attack(np.zeros(attacker.numbers), 1)
+    for centre, swing, speed, phase in (
+        ((-0.53, 1.01), (0.79, 0.26), (0.84, 0.58), (0.1, -3.1)),
+        ((-0.52, 1.03), (0.69, 0.24), (0.91, 1.89), (0.13, -2.4)),
+    ):
+        attack.joints[CENTRE], attack.joints[SWING] = list(centre), list(swing)
+        attack.joints[SPEED], attack.joints[PHASE] = list(speed), list(phase)
+        attack.joints[RATE_SCALE] = [-0.015, -0.015]
+        least = [-1.0] * attacker.range.count
+        found = attacker.run(replace(attack, rest=9.0, switch_speed=0.0, shares=least))
+        assert 0.9 < found.ratio < 1.0
+
+
+@pytest.mark.parametrize('lost', [4, 6, 10])
+def test_given_lost_samples_when_a_planar_arm_moves_then_the_set_holds_what_they_hide(
+    lost, paper_arm, paper_gains
+):
+    attacker = planar_attacker(paper_arm, paper_gains, 2.0)
+    attack = attacker.attack(np.zeros(attacker.numbers), 2)
+    attack.joints[CENTRE], attack.joints[PHASE] = [1.876, 2.523], [-0.252, -1.34]
+    attack.joints[SWING], attack.joints[SPEED] = [0.847, 0.222], [0.525, 8.0]
+    found = attacker.run(replace(attack, rest=9.0, lost=lost))
+    assert 0.5 < found.ratio < 1.0 and found.thresholds[found.sensor] < 0.01
 
 
 @pytest.mark.parametrize('serial', [False, True])

@@ -73,6 +73,7 @@ BOUND_CONSTANTS = record_type(
     ('drift', 'f8', (2,)),  # growth by noise of the rates, per angle [rad/sqrt(s)]
     ('cos_min', 'f8', (2,)),  # region
     ('longest', 'f8'),  # longest interval without lost samples [s]
+    ('sample_time', 'f8'),  # [s]
     ('unknown', UNKNOWN_TORQUE),  # what a healthy arm may do
 )
 """Constants of `update_bound` for one arm."""
@@ -86,6 +87,7 @@ BOUND_STATE = record_type(
     ('reckoning', RECKONING_STATE),  # the errors by dead reckoning
     ('motion', MOTION),  # signals of the present step
     ('bend', 'f8', (2,)),  # largest change of theta'' within a sample, fading [rad/s2]
+    ('rate_error', 'f8', (2,)),  # of the motion, at the last sample alone [rad/s]
     ('turned', 'f8', (2,)),  # Xi times that [N m]
     ('torque', 'f8', (2,)),  # bound on the unknown torques [N m]
     ('kappa', 'f8', (2,)),  # of the constants, 0 for a held link [1/(kg m2)]
@@ -116,6 +118,7 @@ def error_bound(arm: ArmParameters, observer: ObserverGains, sigmas: float = SIG
         cos_min=arm.cos_min,
         decay=observer.decay,
         longest=LATE * arm.sample_time,
+        sample_time=arm.sample_time,
         unknown=unknown,
     )
     if isinstance(observer, ExactObserverGains):
@@ -131,7 +134,7 @@ def reset_bound(state: np.record) -> None:
     state.columns[:] = 0.0
     state.extent[:] = 0.0
     state.held_for[:] = 0.0
-    state.bend[:] = 0.0
+    state.bend[:] = state.rate_error[:] = 0.0
     state.used = 0
 
 
@@ -157,6 +160,7 @@ def _follow_set(params: np.record, state: np.record, observer: np.record) -> Non
     if state.used == 0:
         state.columns[0, 0], state.columns[1, 1] = params.start[0], params.start[1]
         state.used = 2
+        _read_motion(params, state, observer)
     else:
         for i in range(2):
             if state.reckoning.jump[i] > 0.0:  # one more column
@@ -167,7 +171,9 @@ def _follow_set(params: np.record, state: np.record, observer: np.record) -> Non
         _read_motion(params, state, observer)
         move_interval(state.reckoning, observer, state.motion.rate_error)
         if not observer.bridged:
-            _advance(params, state, observer.interval)
+            _advance(params, state, observer)
+    if observer.innovation[0] == 0.0 and observer.innovation[1] == 0.0:
+        _begin_momenta(params, state)
     extent(state.columns, state.used, state.extent)
     _cut(params, state)
     for i in range(2):
@@ -175,6 +181,24 @@ def _follow_set(params: np.record, state: np.record, observer: np.record) -> Non
             state.held_for[i] += observer.interval
         elif state.held_for[i] > 0.0:
             state.held_for[i] *= math.exp(-observer.interval * params.slowest_recovery)
+
+
+@njit
+def _begin_momenta(params: np.record, state: np.record) -> None:
+    """Momentum errors where the observer begins with the measured rates: m = M eta.
+
+    Noise of these rates does as little as that of the torques leaves out until it has built up.
+    """
+    unknown, wrong, at = params.unknown, state.motion.rate_error, state.used
+    off = abs(coupling(state.motion.pose, unknown.arm)) + inertia_errors(unknown, state.motion)[0]
+    state.columns[2:, :at] = 0.0
+    state.columns[:, at : at + 2] = 0.0
+    for i in range(2):
+        inertia = unknown.arm.inertia[i]
+        momentum = (inertia + unknown.own[i]) * wrong[i] + off * wrong[1 - i]
+        state.columns[2 + i, at + i] = momentum / inertia
+    state.used += 2
+    _make_room(params, state)
 
 
 @njit
@@ -238,6 +262,10 @@ def _read_motion(params: np.record, state: np.record, observer: np.record) -> No
     state.turned[0] = arm.inertia[0] * bend[0] + off * bend[1]
     state.turned[1] = off * bend[0] + arm.inertia[1] * bend[1]
     bound_rate_errors(params.unknown, motion)
+    for i in range(2):  # between two samples as at the worse one
+        now = motion.rate_error[i]
+        motion.rate_error[i] = max(now, state.rate_error[i])
+        state.rate_error[i] = now
     # theta^'' = acceleration - Xi^-1 (mu Xi + Xi'(v)) r of the observer.
     r = motion.innovation[0], motion.innovation[1]
     acc = observer.acceleration
@@ -249,12 +277,15 @@ def _read_motion(params: np.record, state: np.record, observer: np.record) -> No
 
 
 @njit
-def _advance(params: np.record, state: np.record, interval: float) -> None:
+def _advance(params: np.record, state: np.record, observer: np.record) -> None:
+    interval = observer.interval
     unknown_torque(params.unknown, state.motion, state.torque)
     for i in range(2):
         # The rate at the end of a step is predicted without it, in the injection; and the rule's
         # own error, dt^2/12 of the second derivative.
         state.torque[i] += (0.25 * params.mu[i] * interval + 1.0 / 12.0) * state.turned[i]
+        # Torques of a longer interval are those of its last sample time; before, they were others.
+        state.torque[i] += max(1.0 - params.sample_time / interval, 0.0) * observer.change[i]
     error_system(params, state, interval)
     steps = max(1, math.ceil(interval * max(params.mu[0], params.mu[1]) / 0.5))
     for _ in range(steps):

@@ -39,7 +39,7 @@ UNKNOWN_TORQUE = record_type(
     # Stated errors of the measured rates:
     ('joints', JOINT_MAP),
     ('bias', 'f8'),  # of a rate sensor [rad/s]
-    ('scale', 'f8'),  # relative error of a rate
+    ('scale', 'f8'),  # error of a rate, relative to the measured one
     ('joint_noise', 'f8', (2,)),  # noise that a joint rate may show [rad/s]
 )
 """What a healthy arm may do that its model does not say."""
@@ -64,6 +64,8 @@ def healthy_arm(arm: ArmParameters, sigmas: float = SIGMAS) -> np.record:
     # As of `lpv.core.serial_arm.diagnosis.parameter_set.parameter_set`: links as a whole, and apart
     # from that places of their masses and inertias by half as much.
     error, half = arm.model_error, 0.5 * arm.model_error
+    # Errors are relative to true rates, which measured ones may fall short of.
+    least = 1.0 - arm.velocity_error
     moment = half * np.array([abs(link.mass * link.center_of_mass) for link in arm.links])
     # First moments of a payload along link 2 and beside it.
     along, beside = arm.payload * (length_2 + PAYLOAD_PLACE), arm.payload * PAYLOAD_PLACE
@@ -83,8 +85,8 @@ def healthy_arm(arm: ArmParameters, sigmas: float = SIGMAS) -> np.record:
         friction=arm.friction_error,
         push=np.abs(arm.disturbance_mean * np.asarray(arm.disturbance_direction)),
         joints=joints,
-        bias=RATE_BIAS * arm.velocity_noise,
-        scale=arm.velocity_error,
+        bias=RATE_BIAS * arm.velocity_noise / least,
+        scale=arm.velocity_error / least,
         joint_noise=sigmas * arm.velocity_noise * np.hypot(*joints.to_joint.T),
     )
 

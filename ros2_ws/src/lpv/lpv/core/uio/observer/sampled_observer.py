@@ -14,7 +14,7 @@ from lpv.core.support.jit import njit_in_place as njit
 from lpv.core.support.limits import MAX_GAP, SMALL
 from lpv.core.support.records import new_record, record_type
 from lpv.core.support.timestamps import NANOSECONDS, NEVER
-from lpv.core.uio.model.dynamics import acceleration, set_pose
+from lpv.core.uio.model.dynamics import Pair, acceleration, set_pose
 from lpv.core.uio.model.joints import JOINT_MAP, JointMap, copy_vector, row_dot
 from lpv.core.uio.observer.exact_observer import ExactObserverGains, exact_rate
 from lpv.core.uio.observer.paper_observer import PaperObserverGains, observer_matrices, paper_rate
@@ -88,6 +88,9 @@ OBSERVER_STATE = record_type(
     ('y_new', 'f8', (4,)),  # of this sample
     ('after', 'f8', (4,)),  # at the end of a part of the interval
     ('torque', 'f8', (2,)),  # generalised torques Q over the interval [N m]
+    ('slope', 'f8', (2,)),  # how these changed since the sample before [N m/s]
+    # largest change of them within the interval, as it shows and as it went on before [N m]
+    ('change', 'f8', (2,)),
     # What is said of this sample, beside x, pose, v_new, held and bend:
     ('interval', 'f8'),  # since the previous estimate [s]
     ('mode', 'u1'),  # of `Mode`
@@ -167,7 +170,7 @@ def observe(
         y[2 + i] = row_dot(joints.from_joint, i, velocity[0], velocity[1])
     for i in range(2):
         state.v_new[i] = row_dot(joints.angle, i, y[2], y[3])
-    state.torque[0], state.torque[1] = effort[0] - effort[1], effort[1]  # Q = J^T tau
+    _note_torque(state, interval, (effort[0] - effort[1], effort[1]))  # Q = J^T tau
     state.bend[:] = 0.0
     if state.stamp == NEVER:
         state.x[4:] = 0.0
@@ -200,6 +203,15 @@ def observe(
     state.interval, state.bridged = interval, interval > params.max_gap
     _fill(params, state)
     return True
+
+
+@njit
+def _note_torque(state: np.record, interval: float, torque: Pair) -> None:
+    for i in range(2):
+        change = torque[i] - state.torque[i] if interval > 0.0 else 0.0
+        state.change[i] = max(abs(change), interval * abs(state.slope[i]))
+        state.slope[i] = change / interval if interval > 0.0 else 0.0
+        state.torque[i] = torque[i]
 
 
 @njit
