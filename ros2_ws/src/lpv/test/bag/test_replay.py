@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from bag_messages import CHATTER, JOINT_STATE, STEP, STRING, TYPESTORE, cdr, text
-from bags import contents, decoded, storage, write_bag, write_by_rosbags
+from bags import contents, decoded, storage, write_bag, write_by_rosbags, write_measurements
 from fault_injection import with_joints, with_sensors
 from places import BRINGUP
 from rosbags.highlevel import AnyReader
@@ -16,7 +16,7 @@ from rosbags.rosbag2 import StoragePlugin
 from rosbags.typesys import get_types_from_msg
 from serial_bags import crane_file, crane_run, record_crane
 
-from lpv import AlarmEvent, ConfigError, Fault
+from lpv import AlarmEvent, ConfigError, Fault, load_arm
 from lpv.bag.errors import BagError
 from lpv.bag.replay.replay import Replay, ReplayResult, judge
 from lpv.bag.rosbag import reading, writing
@@ -549,12 +549,15 @@ def test_given_bad_input_when_run_then_it_is_said(bag, tmp_path, monkeypatch, ca
     for name, value in (others := {'max_gap': 0, 'initial_samples': 2.7}).items():
         Path(f'{name}.yaml').write_text(f'/**: {{ros__parameters: {{{name}: {value}}}}}')
     Path('old.bag').write_text('#ROSBAG V2.0\n')
+    still, names = np.zeros((20, 2)), load_arm('paper').joint_names
+    write_measurements('without_rates', names, 1.0 + 0.002 * np.arange(20), still + 1, None, still)
     precious.parent.mkdir()
     precious.write_text('mine')
     for named, *mistakes in (
         ('nothing', {'bag': 'nothing'}),
         ('is not a bag: a rosbag2 folder', {'bag': 'tuned.yaml'}),
         ('rosbags-convert --src old.bag --dst old', {'bag': 'old.bag'}),
+        ('no measurement can be used: 20 measurements with NaN', {'bag': 'without_rates'}),
         ('neither a file nor shipped', {'arm': 'unknown_arm'}, {'arm': 'nothing.yaml'}),
         ('nothing.yaml', *({name: 'nothing.yaml'} for name in ('gains', 'inject', 'parameters'))),
         ('paper.yaml', {'gains': PAPER_ARM}, {'parameters': PAPER_ARM}),

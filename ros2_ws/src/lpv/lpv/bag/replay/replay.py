@@ -18,6 +18,7 @@ from lpv.bag.replay.writer import Batch, ReplayWriter
 from lpv.bag.rosbag.reading import BagReader, open_bag
 from lpv.bag.run.measurements import EFFORT_TYPES, EffortReader, MeasurementReader
 from lpv.bag.run.record import STREAMS, RecordedAlarm, arm_namespace, find_connections, find_topic
+from lpv.core.monitoring.alarm_text import UNUSED, unusable_text
 from lpv.core.monitoring.answers import Answers
 from lpv.core.monitoring.serial_monitor import SerialSensorMonitor
 from lpv.core.serial_arm.diagnosis.alarms import RATE_BIAS, AlarmEvent
@@ -92,7 +93,7 @@ class Replay:
                     written.result()
                     written = pool.submit(writer.write, batch, copies, answers)
                 written.result()
-                _check(bag, result)
+                self._check(bag, result)
                 if not result.answered and result.rejected:
                     (reason, count), *_ = result.rejected.most_common(1)
                     text = f'none of its {result.measurements} measurements can be used'
@@ -109,8 +110,22 @@ class Replay:
                 take(batch.measured, self._answer(batch, result))
             result.warnings = list(reader.warnings)
             result.lost = int(reader.known.get(result.topic, {}).get('lost', 0))
-        _check(bag, result)
+        self._check(bag, result)
         return result
+
+    def _check(self, bag: str | Path, result: ReplayResult) -> None:
+        """BagError for a bag of which nothing was diagnosed."""
+        counters = self._monitor.counters
+        fitting = result.measurements - sum(result.rejected.values())
+        if not result.measurements:
+            raise BagError(f'{bag}: holds no message on {result.topic} in the chosen interval')
+        if result.answered == 1 < fitting:
+            raise BagError(
+                f'{bag}: no measurement on {result.topic} is newer than the first one: let the '
+                'driver stamp them with the time of measurement'
+            )
+        if 0 < fitting <= sum(getattr(counters, name) for name in UNUSED):
+            raise BagError(f'{bag}: {unusable_text(counters)}')
 
     def _begin(self, reader: BagReader) -> tuple[ReplayResult, Connection | None]:
         """A result that names the topic of the measurements; where the torques come from."""
@@ -185,15 +200,6 @@ class Replay:
 def _of(block: Block, connections: Sequence[Connection], topic: str) -> np.ndarray:
     """Positions of a topic's messages in a block."""
     return np.flatnonzero(np.array([c.topic == topic for c in connections])[block.connection])
-
-
-def _check(bag: str | Path, result: ReplayResult) -> None:
-    if not result.measurements:
-        raise BagError(f'{bag}: holds no message on {result.topic} in the chosen interval')
-    if result.answered == 1 < result.measurements - sum(result.rejected.values()):
-        remedy = 'let the driver stamp them with the time of measurement'
-        text = f'no measurement on {result.topic} is newer than the first one: {remedy}'
-        raise BagError(f'{bag}: {text}')
 
 
 def _effort_connection(reader: BagReader, topic: str) -> Connection:
