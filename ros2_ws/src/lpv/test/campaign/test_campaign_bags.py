@@ -222,7 +222,8 @@ def test_given_an_archive_when_searched_then_bags_and_whose_they_are_is_found(ar
 
     assert names(archive) == sorted([*GOOD, *BAD])
     assert names(archive, [archive / 'b']) == ['a/healthy', 'deaf', 'foreign', 'strange']
-    loose = ['cut/cut_0.mcap', 'cut/cut_1.mcap', 'loose/one.mcap', 'loose/two.db3']
+    loose = ['cut/cut_0.mcap', 'cut/cut_1.mcap']
+    loose += [f'loose/{name}' for name in ('of_ros1.bag', 'one.mcap', 'two.db3')]
     write_files(tmp_path, dict.fromkeys([*loose, 'whole/whole.mcap', 'old/old_0.db3'], b''))
     assert names(tmp_path) == ['cut', *loose[2:], 'old/old_0.db3', 'whole']
     pytest.raises(ConfigError, find_bags, tmp_path / 'nowhere').match('not a folder')

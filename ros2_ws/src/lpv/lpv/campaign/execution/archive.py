@@ -31,7 +31,8 @@ from lpv.core.support.limits import MAX_GAP, MOST_SAMPLES, MOST_TEXT
 from lpv.core.support.timestamps import NANOSECONDS
 from lpv.core.uio.certificate.gains import Gains
 
-_STORAGE = ('.mcap', '.db3')
+_STORAGE = ('.mcap', '.db3', '.bag')
+"""Files of bags; the last are of ROS 1, and an error says how to convert them."""
 _UNIT = ('serial', 'unit')
 """Keys of a bag's custom data that name the arm, as ``ros2 bag record --custom-data`` sets them."""
 STATES = tuple(state.name.lower() for state in SensorState)
