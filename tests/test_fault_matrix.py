@@ -26,10 +26,10 @@ FAULTS = {
     'paper independent': (
         'offset 0.2,step 0.02,drift 0.05,drift 0.3,scale 20 %,stuck,noise 0.02,dropout,rates wrap'
     ),
-    'paper derived': 'step 0.1,noise 0.02,rates wrap',
+    'paper derived': 'step 0.02,step 0.1,noise 0.02,rates wrap',
     'real_arm independent': 'drift 0.1,stuck,rate bias 0.1',
-    'real_arm derived': 'offset 0.5,step 0.1,drift 0.05,drift 0.3,stuck',
-    'swinging derived': 'offset 0.2,drift 0.1,noise 0.02',
+    'real_arm derived': 'offset 0.5,step 0.02,step 0.1,drift 0.05,drift 0.3,stuck',
+    'swinging derived': 'offset 0.2,step 0.02,drift 0.1,noise 0.02',
     'chain3 independent': 'drift 0.05,stuck,dropout',
     'chain3 derived': 'step 0.02,drift 0.3,scale 20 %,stuck,noise 0.02,rates wrap',
     'pausing independent': 'step 0.1,noise 0.02',

@@ -19,7 +19,15 @@ from lpv.core.serial_arm.diagnosis.contact import force_levers, tip_jacobians
 from lpv.core.serial_arm.diagnosis.estimator import DISTRUST
 from lpv.core.serial_arm.diagnosis.information import ROBUST, recent
 from lpv.core.serial_arm.diagnosis.published_rates import rate_lag
-from lpv.core.serial_arm.diagnosis.sampler import CONTRARY, HIDDEN, NOISY, SPIKE, STEP, new_sampler
+from lpv.core.serial_arm.diagnosis.sampler import (
+    CONTRARY,
+    HIDDEN,
+    LINE_LIMIT,
+    NOISY,
+    SPIKE,
+    STEP,
+    new_sampler,
+)
 from lpv.core.serial_arm.diagnosis.sampling import push_sample
 from lpv.core.serial_arm.dynamics.kinematics import jacobian
 from lpv.core.serial_arm.dynamics.payload import with_payload
@@ -158,6 +166,7 @@ def sampled(time, readings, period, smallest, share=1.0, own=None):
     n = readings.shape[1]
     derived = np.full(n, 1.0 if own is None else 0.0)
     sampler = new_sampler(derived, np.full(n, 1e-4), np.full(n, smallest), 40, 50, np.ones(n), 0.01)
+    sampler.lines[LINE_LIMIT] = 6.5
     rates = np.diff(readings, axis=0, prepend=readings[:1]) / period
     rates = low_passed(rates, share) if own is None else own
     found = []
@@ -228,6 +237,34 @@ def test_given_a_joint_that_begins_to_shake_then_its_reading_does_not_jump_but_b
         readings += 2e-5 * rng.standard_normal(readings.shape)
         _, found = sampled(time, readings, period, 5e-3)
         assert (found == STEP).sum() == (step > 0.0)
+
+
+def noisy_readings(seed, count=20000):
+    """Two joints in motion, their readings with noise of 1 mrad; every 2 ms."""
+    noise, time = (
+        np.random.default_rng(seed).normal(size=(2, count)),
+        0.002 * np.arange(1, count + 1),
+    )
+    return time, (0.5 * np.sin([[3.0], [2.0]] * time) + 1e-3 * noise).T
+
+
+def test_given_a_step_that_noise_of_e_hides_then_it_is_found_as_three_more_samples_confirm_it():
+    time, readings = noisy_readings(0)
+    began = np.arange(1000, len(time), 200)
+    readings[:, 0] += 0.02 * np.searchsorted(began, np.arange(len(time)), 'right')
+    found = sampled(time, readings, 0.002, 0.005)[1]
+    late = (found[began[:, None] + np.arange(4), 0] == STEP).sum()
+    assert late > 0.9 * len(began)
+    assert (found[1000:] == STEP).sum() == (found[1000:] != 0).sum() == late
+
+
+@pytest.mark.parametrize('change', [10.0, -10.0])
+def test_given_noise_when_joints_stop_dead_or_begin_to_move_then_their_readings_do_not_jump(change):
+    time, readings = noisy_readings(1)
+    began = np.arange(1000, len(time), 200) + np.linspace(0.0, 1.0, 95)
+    for k, since in enumerate(np.maximum(time - 0.002 * began[:, None], 0.0)):
+        readings[:, 0] += change * since * (-1) ** k
+    assert not sampled(time, readings, 0.002, 0.005)[1][1000:].any()
 
 
 def test_two_steps_at_once_are_both_named():

@@ -13,6 +13,12 @@ again is noisy.
 
 import numpy as np
 
+from lpv.core.serial_arm.diagnosis.lines import (
+    AFTER,
+    is_step_between_lines,
+    learn_line_scale,
+    set_line_jumps,
+)
 from lpv.core.serial_arm.diagnosis.sampler import (
     COUNT,
     HIDDEN,
@@ -20,6 +26,7 @@ from lpv.core.serial_arm.diagnosis.sampler import (
     JITTER,
     LATE,
     LEFT,
+    LINE_JUMP,
     LIVELY,
     MOST,
     NOISE_MEMORY,
@@ -168,6 +175,7 @@ def _unexplained(sampler: Sampler, i: int, period: float, late: float) -> float:
 def find_jumps(sampler: Sampler) -> None:
     """After a large e, name clear steps at once, and what else it is 3 samples later."""
     n, k, waits = sampler.scale.shape[0], HISTORY - 2, sampler.counters[PENDING] >= 0
+    even = set_line_jumps(sampler)
     for i in range(n):
         beyond = _is_beyond(sampler, i, k)
         _watch_noise(sampler, i, beyond)
@@ -178,11 +186,15 @@ def find_jumps(sampler: Sampler) -> None:
         elif not waits and not (sampler.still[i] > HISTORY and sampler.lively[i] > LIVELY):
             own = sampler.scale[i] / sampler.usual[i]
             learn_scale(sampler, i, sampler.jumps[k, i] * own, 1.0)
+            if even:
+                learn_line_scale(sampler, i)
     if sampler.counters[PENDING] < 0:
         learn_jitter(sampler)
     if waits:
         sampler.counters[PENDING] += 1
     elif sampler.counters[PENDING] < 0:
+        if even:
+            _find_small_steps(sampler)
         return
     for i in range(n):
         if sampler.noisy[i] == 0 and _is_clear_step(sampler, i):
@@ -194,6 +206,17 @@ def find_jumps(sampler: Sampler) -> None:
     for i in range(n):
         if sampler.found[i] == NONE and sampler.noisy[i] == 0:
             _name_jump(sampler, i)
+
+
+@njit_in_place
+def _find_small_steps(sampler: Sampler) -> None:
+    """Name steps that e leaves in doubt, and the samples around them do not."""
+    for i in range(sampler.scale.shape[0]):
+        if sampler.noisy[i] == 1 or not is_step_between_lines(sampler, i):
+            continue
+        sampler.jumps[AFTER, i] = sampler.lines[LINE_JUMP, i]
+        _remove_step(sampler, i, AFTER)
+        sampler.jumps[AFTER - 1, i] = sampler.jumps[AFTER + 1, i] = 0.0
 
 
 @njit_in_place

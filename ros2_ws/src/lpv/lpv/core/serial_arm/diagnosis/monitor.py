@@ -66,6 +66,7 @@ from lpv.core.serial_arm.diagnosis.sampler import (
     HIDDEN,
     JUMP_SCALE,
     LEFT,
+    LINE_LIMIT,
     MOST,
     NOISE_MEMORY,
     NOISY,
@@ -167,6 +168,9 @@ class SerialMonitor:
         """Let changed `settings` count from now on; lengths stay as they are."""
         settings, state = self.settings, self._state
         self.sampler.smallest[:] = settings.smallest_jump * self.scales
+        # Noise is beyond z standard deviations with a probability of at most exp(-z^2 / 2).
+        tests = settings.threshold(self.arm.sample_time / self.joints)
+        self.sampler.lines[LINE_LIMIT] = math.sqrt(2.0 * tests)
         state['threshold'] = settings.threshold(self.plan.interval)
         state['limits'] = (
             WIDEST_LEVEL, settings.minimum_threshold, settings.sigmas, self.plan.interval,

@@ -28,6 +28,9 @@ LARGEST, SMALLEST, USUAL, APART, WRONG, TIMES_WRONG, CONTRARY_AT, REPLACED = ran
 """Rows of `Sampler.contrast`: the largest and the smallest difference of the reading lately; by how
 much its published rate differs from them usually, and now [rad/s]; 1 where it contradicts them, how
 often it did lately, and when last [s]; 1 while differences replace it."""
+LINE_JUMP, LINE_SCALE, LINE_LIMIT, LINE_WAIT = range(4)
+"""Rows of `Sampler.lines`: the last jump between lines; its usual size [rad]; over how many times
+that it is a step; samples until none of those kept is next to one that was filled in."""
 COUNT, IN_BLOCK, IN_INTERVAL, PENDING, BLOCKS, PROBED = range(6)
 """Entries of `Sampler.counters`: samples since the start, in the block; blocks in the interval;
 sensor-independent age of a jump that waits for its kind, -1 if none; blocks written; samples in the
@@ -66,6 +69,7 @@ class Sampler(NamedTuple):
     jumps: FloatArray  # e of each, shape (HISTORY, n)
     scale: FloatArray  # usual size of e by the readings, shape (n,) [rad]
     usual: FloatArray  # (n,) that of the last e, by the errors of stamps, too [rad]
+    lines: FloatArray  # (4, n) jumps between lines through four samples, see `LINE_JUMP`
     calm: FloatArray  # (n,) square of scale where it was small, over the blocks kept [rad2]
     smallest: FloatArray  # smallest jump that is looked for, shape (n,) [rad]
     unit: FloatArray  # (n,) what counts as much as 1 rad, see `SerialJoint.scale` [rad]
@@ -126,9 +130,10 @@ def new_sampler(
     n = len(derived)
     counters = np.zeros(6, np.int64)
     counters[PENDING] = -1
+    lines = np.stack((np.zeros(n), scale, np.full(n, np.inf), np.zeros(n)))
     return Sampler(
         np.zeros(HISTORY), np.zeros((HISTORY, 3, n)), np.zeros((HISTORY, n)), scale.copy(),
-        scale.copy(), scale * scale, smallest.copy(), unit.copy(),
+        scale.copy(), lines, scale * scale, smallest.copy(), unit.copy(),
         np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n),
         derived.copy(), np.zeros((3, n)), np.zeros(n), np.zeros((capacity, 3 * n + 4)),
         np.zeros((capacity, n)), np.zeros(n, np.int64), np.zeros(n), np.zeros(n, np.int64),
@@ -268,10 +273,15 @@ def readings_in_jump(sampler: Sampler, i: int) -> float:
 @njit_in_place
 def learn_scale(sampler: Sampler, i: int, e: float, count: float) -> None:
     """Learn the usual size of e, from that of so many samples."""
-    scale = sampler.scale[i]
+    sampler.scale[i] = learned_scale(sampler.scale[i], e, count)
+
+
+@njit_in_place
+def learned_scale(scale: float, e: float, count: float) -> float:
+    """Usual size of what was as large as ``e`` in so many samples; outliers count as `ROBUST`."""
     bounded = min(abs(e), ROBUST * scale)
     change = (bounded * bounded - scale * scale) * count / SCALE_MEMORY
-    sampler.scale[i] = np.sqrt(scale * scale + change)
+    return float(np.sqrt(scale * scale + change))
 
 
 @njit_in_place
