@@ -254,7 +254,7 @@ def _is_clear_step(sampler: Sampler, i: int) -> bool:
     if sampler.doubtful[k, i] > 0 or sampler.doubtful[k - 1, i] > 0:
         return False
     # The e before a step is half as large where the rate is derived.
-    if abs(jump) <= max(smallest_jump(sampler, i), _loudest(sampler, i, 0, k) / (2.0 * LEFT)):
+    if abs(jump) <= smallest_jump(sampler, i) or _shakes(sampler, i, k, jump):
         return False
     way = samples[k + 1, 0, i] - samples[k - 1, 0, i] - jump
     period = sampler.time[k + 1] - sampler.time[k - 1]
@@ -264,26 +264,30 @@ def _is_clear_step(sampler: Sampler, i: int) -> bool:
 
 
 @njit_in_place
-def _loudest(sampler: Sampler, i: int, begin: int, end: int) -> float:
-    """Largest e of some samples [rad]."""
-    largest = 0.0
-    for k in range(begin, end):
-        largest = max(largest, abs(sampler.jumps[k, i]))
-    return largest
+def _shakes(sampler: Sampler, i: int, end: int, jump: float) -> bool:
+    """Whether e was large before a jump, too, and no stamp explains it: the joint shakes."""
+    for k in range(end):
+        if sampler.doubtful[k, i] == 0 and abs(sampler.jumps[k, i]) >= 2.0 * LEFT * abs(jump):
+            return True
+    return False
 
 
 @njit_in_place
 def _name_jump(sampler: Sampler, i: int) -> None:
     """Tell steps, spikes and wrong rates apart by the pattern of e, and remove them."""
     first, last = HISTORY - 5, HISTORY - 2
-    largest, peak = _loudest(sampler, i, first, last), first
+    largest = 0.0
+    for k in range(first, last):
+        largest = max(largest, abs(sampler.jumps[k, i]))
+    peak = first
     while abs(sampler.jumps[peak, i]) < MOST * largest or (
         peak + 1 < last and _is_before_step(sampler, i, peak)
     ):
         peak += 1
     size, after = sampler.jumps[peak, i], sampler.jumps[peak + 1, i]
-    shakes = _loudest(sampler, i, 0, peak - 1) > 2.0 * LEFT * abs(size)
-    if abs(size) <= smallest_jump(sampler, i) or shakes or _is_stop(sampler, i, peak):
+    if abs(size) <= smallest_jump(sampler, i) or _shakes(sampler, i, peak - 1, size):
+        return
+    if _is_stop(sampler, i, peak):
         return
     doubt = sampler.doubtful[peak, i]
     if abs(after + size) < LEFT * abs(size):
