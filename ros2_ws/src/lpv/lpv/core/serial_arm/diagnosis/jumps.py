@@ -285,9 +285,7 @@ def _name_jump(sampler: Sampler, i: int) -> None:
     ):
         peak += 1
     size, after = sampler.jumps[peak, i], sampler.jumps[peak + 1, i]
-    if abs(size) <= smallest_jump(sampler, i) or _shakes(sampler, i, peak - 1, size):
-        return
-    if _is_stop(sampler, i, peak):
+    if abs(size) <= smallest_jump(sampler, i) or _is_stop(sampler, i, peak):
         return
     doubt = sampler.doubtful[peak, i]
     if abs(after + size) < LEFT * abs(size):
@@ -311,7 +309,8 @@ def _name_jump(sampler: Sampler, i: int) -> None:
             _smooth_rates(sampler, i, peak + 1, 1)
             return
     if doubt == 0 or (doubt == 1 and sampler.clock[STAMPS] == 0.0 and _lasts(sampler, i, peak)):
-        _remove_step(sampler, i, peak)
+        if not _shakes(sampler, i, peak - 1, size):
+            _remove_step(sampler, i, peak)
     elif doubt == 3:
         sampler.found[i], sampler.size[i] = HIDDEN, size
 
