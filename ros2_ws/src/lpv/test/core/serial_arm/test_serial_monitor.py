@@ -18,10 +18,12 @@ from lpv.core.serial_arm.diagnosis.bank import CONTACT_TIME
 from lpv.core.serial_arm.diagnosis.contact import force_levers, tip_jacobians
 from lpv.core.serial_arm.diagnosis.estimator import DISTRUST
 from lpv.core.serial_arm.diagnosis.information import ROBUST, recent
+from lpv.core.serial_arm.diagnosis.lines import BEND
 from lpv.core.serial_arm.diagnosis.published_rates import rate_lag
 from lpv.core.serial_arm.diagnosis.sampler import (
     CONTRARY,
     HIDDEN,
+    LINE_JUMP,
     LINE_LIMIT,
     NOISY,
     SPIKE,
@@ -265,6 +267,24 @@ def test_given_noise_when_joints_stop_dead_or_begin_to_move_then_their_readings_
     for k, since in enumerate(np.maximum(time - 0.002 * began[:, None], 0.0)):
         readings[:, 0] += change * since * (-1) ** k
     assert not sampled(time, readings, 0.002, 0.005)[1][1000:].any()
+
+
+def test_given_the_largest_accelerations_then_lines_jump_by_what_no_healthy_reading_exceeds():
+    period, most, rng = 0.002, 300.0, np.random.default_rng(0)
+    moving = rng.uniform(-most, most, (2000, 1)), most * rng.choice([-1.0, 1.0], (2000, 1))
+    turns = np.repeat([[-most], [most]], 1000, axis=0)
+    largest = []
+    for acceleration in (*moving, turns):
+        fine = np.repeat(acceleration, 20, axis=0)  # of samples in the middle between changes
+        rate = np.cumsum(fine, axis=0) * period / 20
+        readings = (np.cumsum(rate, axis=0) * period / 20)[10::20]
+        sampler = new_sampler(np.ones(1), np.ones(1), np.ones(1), 40, 50, np.ones(1), period)
+        jumps = []
+        for k, reading in enumerate(readings):
+            push_sample(sampler, period * (k + 1), reading, np.zeros(1), np.zeros(1))
+            jumps.append(abs(sampler.lines[LINE_JUMP, 0]))
+        largest.append(max(jumps) / (most * period**2))
+    assert max(largest) == pytest.approx(BEND, rel=0.02)
 
 
 def test_two_steps_at_once_are_both_named():

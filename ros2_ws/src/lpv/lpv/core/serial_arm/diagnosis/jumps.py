@@ -26,6 +26,7 @@ from lpv.core.serial_arm.diagnosis.sampler import (
     JITTER,
     LATE,
     LEFT,
+    LINE_FOUND,
     LINE_JUMP,
     LIVELY,
     MOST,
@@ -216,6 +217,7 @@ def _find_small_steps(sampler: Sampler) -> None:
             continue
         sampler.jumps[AFTER, i] = sampler.lines[LINE_JUMP, i]
         _remove_step(sampler, i, AFTER)
+        sampler.lines[LINE_FOUND, i] = 1.0
         sampler.jumps[AFTER - 1, i] = sampler.jumps[AFTER + 1, i] = 0.0
 
 
@@ -374,6 +376,7 @@ def _remove_step(sampler: Sampler, i: int, peak: int) -> None:
     sampler.found[i] = STEP
     sampler.size[i] = size
     sampler.since[i] = HISTORY - peak
+    sampler.lines[LINE_FOUND, i] = 0.0
     sampler.correction[i] += size
     for k in range(peak, HISTORY):
         sampler.samples[k, 0, i] -= size

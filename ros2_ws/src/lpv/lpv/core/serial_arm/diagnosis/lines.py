@@ -30,6 +30,10 @@ AFTER = HISTORY // 2
 _WEIGHTS = (0.85, 0.45, 0.05, -0.35)
 """Of samples 0.5, 1.5, 2.5 and 3.5 periods from the middle, in the value of their line there."""
 
+BEND = 2.75
+"""How far such lines jump at most, over the largest e, of a healthy reading: an acceleration that
+turns over in the middle, from -a to a, bends them by 2.75 a T^2, noise and rounding do less."""
+
 
 @njit_in_place
 def set_line_jumps(sampler: Sampler) -> bool:

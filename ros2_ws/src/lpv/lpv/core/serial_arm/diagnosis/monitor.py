@@ -44,6 +44,7 @@ from lpv.core.serial_arm.diagnosis.healthy_set import Guarantee, HealthySet
 from lpv.core.serial_arm.diagnosis.information import ROBUST
 from lpv.core.serial_arm.diagnosis.learning import Learned, learned_of
 from lpv.core.serial_arm.diagnosis.linear_bank import STARTS
+from lpv.core.serial_arm.diagnosis.lines import BEND
 from lpv.core.serial_arm.diagnosis.parameter_set import is_stated
 from lpv.core.serial_arm.diagnosis.priors import (
     CONTACT,
@@ -66,6 +67,7 @@ from lpv.core.serial_arm.diagnosis.sampler import (
     HIDDEN,
     JUMP_SCALE,
     LEFT,
+    LINE_FOUND,
     LINE_LIMIT,
     MOST,
     NOISE_MEMORY,
@@ -428,6 +430,8 @@ class SerialMonitor:
         readings say of a long one with its ratio to a short one.
         """
         periods, bound = np.diff(self.sampler.time), float(self._jump_bound[i])
+        if self.sampler.lines[LINE_FOUND, i] == 1.0:
+            bound *= BEND
         longest, shortest = float(periods.max()), float(periods.min())
         is_far = jump > bound * (longest / self.arm.sample_time) ** 2
         return is_far and jump * shortest > bound * longest

@@ -28,9 +28,10 @@ LARGEST, SMALLEST, USUAL, APART, WRONG, TIMES_WRONG, CONTRARY_AT, REPLACED = ran
 """Rows of `Sampler.contrast`: the largest and the smallest difference of the reading lately; by how
 much its published rate differs from them usually, and now [rad/s]; 1 where it contradicts them, how
 often it did lately, and when last [s]; 1 while differences replace it."""
-LINE_JUMP, LINE_SCALE, LINE_LIMIT, LINE_WAIT = range(4)
+LINE_JUMP, LINE_SCALE, LINE_LIMIT, LINE_WAIT, LINE_FOUND = range(5)
 """Rows of `Sampler.lines`: the last jump between lines; its usual size [rad]; over how many times
-that it is a step; samples until none of those kept is next to one that was filled in."""
+that it is a step; samples until none of those kept is next to one that was filled in; 1 where the
+last step was found between lines."""
 COUNT, IN_BLOCK, IN_INTERVAL, PENDING, BLOCKS, PROBED = range(6)
 """Entries of `Sampler.counters`: samples since the start, in the block; blocks in the interval;
 sensor-independent age of a jump that waits for its kind, -1 if none; blocks written; samples in the
@@ -69,7 +70,7 @@ class Sampler(NamedTuple):
     jumps: FloatArray  # e of each, shape (HISTORY, n)
     scale: FloatArray  # usual size of e by the readings, shape (n,) [rad]
     usual: FloatArray  # (n,) that of the last e, by the errors of stamps, too [rad]
-    lines: FloatArray  # (4, n) jumps between lines through four samples, see `LINE_JUMP`
+    lines: FloatArray  # (5, n) jumps between lines through four samples, see `LINE_JUMP`
     calm: FloatArray  # (n,) square of scale where it was small, over the blocks kept [rad2]
     smallest: FloatArray  # smallest jump that is looked for, shape (n,) [rad]
     unit: FloatArray  # (n,) what counts as much as 1 rad, see `SerialJoint.scale` [rad]
@@ -130,7 +131,8 @@ def new_sampler(
     n = len(derived)
     counters = np.zeros(6, np.int64)
     counters[PENDING] = -1
-    lines = np.stack((np.zeros(n), scale, np.full(n, np.inf), np.zeros(n)))
+    lines = np.zeros((5, n))
+    lines[LINE_SCALE], lines[LINE_LIMIT] = scale, np.inf
     return Sampler(
         np.zeros(HISTORY), np.zeros((HISTORY, 3, n)), np.zeros((HISTORY, n)), scale.copy(),
         scale.copy(), lines, scale * scale, smallest.copy(), unit.copy(),
