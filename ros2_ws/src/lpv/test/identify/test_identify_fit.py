@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from bags import write_measurements
 from fault_injection import DATA
-from fault_injection import with_joint_values as changed_joints
+from fault_injection import with_joints as changed_joints
 from scipy import stats
 from simulated_recordings import is_physical
 from ur10e_twin import recording as recording_of_twin

@@ -7,7 +7,7 @@ import pytest
 import yaml
 from bags import write_measurements
 from fault_injection import DATA, csv_stream, moves_and_rests, two_links
-from fault_injection import with_joint_values as changed_joints
+from fault_injection import with_joints as changed_joints
 from scipy.interpolate import make_interp_spline
 from ur10e_twin import recording as recording_of_twin
 from ur10e_twin import ur10e

@@ -60,9 +60,6 @@ _REPORT_INTERVAL = NANOSECONDS
 """A diagnostics report is due after each such time of the data [ns], and at every alarm event."""
 _STALE_AFTER, _REPEATED_AFTER = round(STALE_AFTER * NANOSECONDS), round(PATIENCE * NANOSECONDS)
 """Time without use until it is reported, and until it is reported again [ns]."""
-_LATE = 1
-"""Measurements in a row that are older than the last one and may have come late; more tell that the
-clock was set back."""
 _MANY = 0.1
 """Share of measurements that cannot be used from which on it is said."""
 _WARM_UP = 0.3
@@ -385,7 +382,7 @@ class SerialSensorMonitor:
 
     def _regular(self, answers: Answers, begin: int) -> int:
         """Number of samples from ``begin`` on that can be used as they are, after the last one."""
-        if self._gate.last is None or self._older > _LATE:
+        if self._gate.last is None or self._is_set_back():
             return 0
         stream = Stream(
             self._stamp, self._gate.last, self._gap, self._independent, self._endless,
@@ -442,7 +439,7 @@ class SerialSensorMonitor:
             setattr(self.counters, wrong, getattr(self.counters, wrong) + 1)
             self._answer_stale(stamp, row)
             return False
-        was_back = self._older > _LATE  # the clock, and samples are missing since
+        was_back = self._is_set_back()  # and samples are missing since
         if was_back:
             self._monitor.begin_again()
         gap = self._stamp == NEVER or stamp - self._stamp > self._gap or was_back
@@ -478,6 +475,16 @@ class SerialSensorMonitor:
         self.counters.out_of_order += delta < 0
         self._older += delta < 0
         return False
+
+    def _is_set_back(self) -> bool:
+        """Whether the clock was, by what is older than the last measurement, one after another.
+
+        One may be late, and as many as were missing before the last one.
+        """
+        if self._older <= 1:
+            return False
+        time = self._monitor.sampler.time
+        return self._older > round((time[-1] - time[-2]) / self.arm.sample_time) - 1
 
     def _run(self, answers: Answers, begin: int, end: int) -> None:
         """Use samples that are in order."""
