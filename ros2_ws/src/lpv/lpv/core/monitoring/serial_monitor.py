@@ -479,12 +479,13 @@ class SerialSensorMonitor:
     def _is_set_back(self) -> bool:
         """Whether the clock was, by what is older than the last measurement, one after another.
 
-        One may be late, and as many as were missing before the last one.
+        One may be late, and as many as were missing before the last one, unless all began anew.
         """
         if self._older <= 1:
             return False
         time = self._monitor.sampler.time
-        return self._older > round((time[-1] - time[-2]) / self.arm.sample_time) - 1
+        period = (time[-1] - time[-2]) / self.arm.sample_time
+        return period > LONGEST_STEP or self._older > round(period) - 1
 
     def _run(self, answers: Answers, begin: int, end: int) -> None:
         """Use samples that are in order."""
