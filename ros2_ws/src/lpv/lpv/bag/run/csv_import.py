@@ -123,7 +123,9 @@ def read_samples(
                 if ''.join(cells[len(header) :]).strip():
                     raise CsvError(f'{line} has more cells than the header: decimal commas?')
                 values = [
-                    [_number(row, n, line, float, s) for n, s in zip(names, scale) if any(names)]
+                    [_number(row, n, line, float, s) for n, s in zip(names, scale)]
+                    if any(names)
+                    else []
                     for names, scale in vectors
                 ]
                 # Decimal: a float of epoch seconds is 200 ns off; an int may have too many digits.
