@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from bags import write_measurements
-from fault_injection import DATA
-from fault_injection import with_joints as changed_joints
+from fault_injection import DATA, with_joints
 from scipy import stats
 from simulated_recordings import is_physical
 from ur10e_twin import recording as recording_of_twin
@@ -79,7 +78,7 @@ def test_given_links_or_friction_when_checked_or_rescaled_then_torques_are_as_th
     assert joint_torques(rescaled(arm, 1.3), *motion) == expected
     errors = {'torque_error': (0.1, 0.2, 0.3), 'torque_error_speed': (0.0, 0.1, 0.2)}
     stated = replace(arm.uncertainty, torque_error_time=0.5, **errors)
-    coupled = changed_joints(replace(arm, uncertainty=stated), 2, rotor_coupling=0.01)
+    coupled = with_joints(replace(arm, uncertainty=stated), 2, rotor_coupling=0.01)
     found = rescaled(coupled, 1.3)
     assert found.uncertainty.torque_error == pytest.approx((0.13, 0.26, 0.39))
     assert found.uncertainty.torque_error_speed == pytest.approx((0.0, 0.13, 0.26))
@@ -239,7 +238,7 @@ def test_given_friction_that_grows_with_load_when_identified_then_it_is_chosen(a
 def test_given_a_prismatic_joint_when_identified_then_forces_fit(arm, simulated):
     friction, limits = JointFriction(1.0, 20.0, 10.0, 100.0), JointLimits(-0.8, 0.9, 1.5, 400.0)
     changes = {'friction': friction, 'limits': limits, 'rotor_inertia': 4.0, 'type': 'prismatic'}
-    arm = changed_joints(arm, 0, axis=(0.6, 0.0, 0.8), **changes)
+    arm = with_joints(arm, 0, axis=(0.6, 0.0, 0.8), **changes)
     recording = simulated(arm, motion=plan_excitation(arm, 20.0, trials=10).trajectory)
     heavier = [LinkInertia.from_vector(1.2 * joint.link.to_vector()) for joint in arm.joints]
     found = identify(with_joint_values(arm, link=heavier), [recording])

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 import yaml
 from bags import write_measurements
-from fault_injection import DATA, csv_stream, moves_and_rests, two_links
-from fault_injection import with_joints as changed_joints
+from fault_injection import DATA, csv_stream, moves_and_rests, two_links, with_joints
 from scipy.interpolate import make_interp_spline
 from ur10e_twin import recording as recording_of_twin
 from ur10e_twin import ur10e
@@ -38,11 +37,11 @@ STEP, SLOW = 0.004, pytest.mark.slow
 @pytest.mark.parametrize('kind', ['revolute', 'prismatic', 'carried rotor'])
 def test_given_an_arm_when_computing_torques_then_they_are_those_of_the_dynamics(arm, kind):
     if kind == 'carried rotor':  # by a link, with one that turns with two joints
-        arm = changed_joints(load_arm('real_arm'), 1, rotor_coupling=-0.01)
+        arm = with_joints(load_arm('real_arm'), 1, rotor_coupling=-0.01)
     else:
-        arm = changed_joints(arm, 1, axis=(0.6, 0.0, -0.8), type=kind)
+        arm = with_joints(arm, 1, axis=(0.6, 0.0, -0.8), type=kind)
         arm = replace(arm, base_orientation=(0.3, -0.2, 0.1))
-    arm, n = changed_joints(arm, friction=JointFriction()), len(arm.joints)
+    arm, n = with_joints(arm, friction=JointFriction()), len(arm.joints)
     motion = np.random.default_rng(2).normal(size=(3, 20, n))
     expected = SerialModel(compile_chain(arm)).torque(*motion)
     rows = rigid_body.RigidBody(arm).regressor(*motion)[:, :, : 10 * n]
@@ -365,7 +364,7 @@ def as_in_a_urdf(arm):
 
 def test_given_a_wrist_with_a_geared_rotor_when_looked_at_then_no_ratio_is_doubted(arm, simulated):
     light = LinkInertia(0.5, (0.025, 0.0, 0.0), (2e-3, 0.0, 3e-3, 0.0, 0.0, 3e-3))
-    arm = changed_joints(arm, 2, link=light, rotor_inertia=0.15)
+    arm = with_joints(arm, 2, link=light, rotor_inertia=0.15)
     fast = random_trajectory(np.random.default_rng(4), *np.outer((0.0, 1.5, 2.6), np.ones(3)), 30.0)
     one = simulated(arm, motion=fast)
     assert mistakes.find_mistakes(as_in_a_urdf(arm), [one]) == []
@@ -386,7 +385,7 @@ class Stops:
 
 def test_given_a_joint_that_slides_and_rests_then_no_names_are_swapped(arm, simulated):
     kind = {'type': 'prismatic', 'axis': (0.0, 0.0, 1.0), 'limits': JointLimits(0, 0.2, 1.0, 150.0)}
-    arm = changed_joints(arm, 1, friction=JointFriction(0.0, 1.0, 60.0, 500.0), **kind)
+    arm = with_joints(arm, 1, friction=JointFriction(0.0, 1.0, 60.0, 500.0), **kind)
     one = simulated(arm, motion=Stops((1.0, 0.09, 1.0), (1.5, 0.3, 1.5), 3))
     assert mistakes.find_mistakes(as_in_a_urdf(arm), [one]) == []
 
