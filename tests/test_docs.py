@@ -83,8 +83,9 @@ def test_given_a_page_then_the_code_links_and_commands_in_it_are_there(page):
 def test_given_equations_pages_and_alarms_when_looked_up_then_the_site_has_each():
     tool = ROOT / 'tools' / 'equation_index.py'
     subprocess.run([sys.executable, str(tool), '--check'], check=True)
-    rows = re.findall(r'^\| (\(\d+\).*?) \|', PAGES['paper-notes.md'], re.MULTILINE)
-    listed = [int(number) for row in rows for number in re.findall(r'\((\d+)\)', row)]
+    rows = re.findall(r'^- (\(\d+\).*?):', PAGES['paper-notes.md'], re.MULTILINE)
+    ranges = re.findall(r'\((\d+)\)(?:-\((\d+)\))?', ' '.join(rows))
+    listed = [number for a, b in ranges for number in range(int(a), int(b or a) + 1)]
     assert len(listed) == len(set(listed)) and set(range(1, 71)) - set(listed) == WITHOUT_CODE
     contents = PAGES['index.md'].split()
     assert [p.stem for p in DOCS.glob('*.md') if p.stem not in contents] == ['index']

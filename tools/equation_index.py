@@ -23,7 +23,7 @@ _NUMBERS = re.compile(r'\((\d{1,2})\)(?:\s*-\s*\((\d{1,2})\))?')
 _STATED = re.compile(
     r'(?:\b[Ee]qs?\.|\bLMIs?)\s*((?:\(\d{1,2}\)(?:\s*-\s*\(\d{1,2}\))?(?:,\s*|\s+and\s+)?)+)'
 )
-_HEAD = '| equation | code |\n| --- | --- |\n'
+_HEAD = ' Code by equation:\n\n'
 """Beginning of the index, which ends the page."""
 
 
@@ -68,11 +68,21 @@ def find_equations() -> dict[int, list[str]]:
     return index
 
 
+def _ranges(numbers: list[int]) -> str:
+    """Numbers of equations as text, three and more in a row by the first and the last."""
+    rows = [
+        [number for _, number in row]
+        for _, row in groupby(enumerate(numbers), lambda one: one[1] - one[0])
+    ]
+    texts = [[f'({one})' for one in row] for row in rows]
+    return ', '.join(f'{row[0]}-{row[-1]}' if len(row) > 2 else ', '.join(row) for row in texts)
+
+
 def page() -> str:
-    """The page's text, with a new index; neighbours that name the same code share a row."""
+    """The page's text, with a new index; neighbours that name the same code share a line."""
     index = find_equations()
     rows = [
-        f'| {", ".join(f"({number})" for number in numbers)} | {", ".join(links)} |'
+        f'- {_ranges([*numbers])}: {", ".join(links)}'
         for links, numbers in groupby(sorted(index), key=index.__getitem__)
     ]
     return PAGE.read_text(encoding='utf-8').partition(_HEAD)[0] + _HEAD + '\n'.join(rows) + '\n'
