@@ -1,4 +1,43 @@
-"""What is kept of one run: figures of detection, isolation, estimates, tracking."""
+"""What is kept of one run: figures of detection, isolation, estimates, tracking.
+
+Columns of ``runs.parquet`` beside the factors of a run; NaN: there is nothing to measure.  ``_i``
+counts sensors from 1, "during" is from the first onset of a fault to the last end, "before" what
+precedes it; units are s and rad.
+
+number, seed
+    Of the run.
+kind, sensor, fault_size
+    What was injected: its kind; its sensor, ``both`` of two, else ``a+b``; its size, of a drift its
+    rate.
+observed, early_time, healthy_time
+    Length of the run; time before the first onset; time without a fault.
+detected, isolated, found_i
+    Every faulty sensor has an alarm while a fault acts; no other has; this one has.
+detection_delay, onset_error
+    Of the sensor found last; error of the stated onset.
+size_at_detection, size_error
+    By the first alarm; its error, of biases.
+said_kind, said_sensor
+    Last word of the diagnosis.
+alarms, false_alarms, alarms_before_i, wrong_alarms
+    All; while no fault acted; before any; of healthy sensors during one.  An alarm that began
+    before the end of its fault counts for it for 1 s more; that of a reading that jumps back then
+    is not false.
+score_before_i, score_during_i, mean_threshold_i
+    Largest abs(estimate) / threshold; mean threshold after 1 s.
+fault_rms_before, fault_rms_during, error_rms_i
+    RMS errors of the fault estimates; the first second counts in the second one alone.
+angle_rms
+    RMS error of the estimated positions after 1 s.
+tracking_rms, tracking_rms_during, tracking_max, tracking_ratio
+    Tracking error: RMS after 1 s and during faults; largest; over that of the healthy twin.
+stable
+    All is finite, and the tracking error below 1 rad.
+safe_stops, stop_reasons, braked_time
+    How often the drives braked, why, and for how long.
+inconsistent_time
+    Time with suspects.
+"""
 
 import math
 from collections.abc import Collection, Sequence
@@ -20,7 +59,7 @@ _EARLY = 0.1
 
 
 def figures(arm: SerialArm, scenario: Any, run: Any, twin: Any = None) -> dict[str, Any]:
-    """Figures of a run and its healthy twin, see docs/scenario-file.md; NaN: none to measure."""
+    """Columns of a run and its healthy twin, as above."""
     names, period = arm.sensor_names, arm.sample_time
     observed = len(run.time) * period
     scheduled = [f for f in scenario.faults if f.onset < observed]  # others were not injected
