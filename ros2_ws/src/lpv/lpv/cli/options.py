@@ -197,8 +197,8 @@ folder?      where the files are written (this folder)
 --out FILE   file to write instead of the terminal
 """,
     'recover': f"""repair a bag that is cut off or damaged
-bag        rosbag2 directory with MCAP files, or one MCAP file, which is never changed; exit code 3
-           says that something was lost, 1 that nothing can be read
+bag        rosbag2 directory, or one MCAP or sqlite3 file, which is never changed; exit code 3 says
+           that something was lost, 1 that nothing can be read
 --out BAG  bag to create; without, BAG_recovered if BAG is damaged, and nothing if it is not
 --preset {_PRESETS}  compression of the new bag
 """,
