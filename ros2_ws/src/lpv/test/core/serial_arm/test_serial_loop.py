@@ -98,6 +98,19 @@ def test_given_noise_that_begins_below_a_jump_then_no_arm_is_thrown(seed, onset,
     assert not run.stop_reason[run.time > 1.0].any()
 
 
+@pytest.mark.parametrize(('joint', 'seed', 'onset', 'size', 'duration'), [
+    (6, 96, 7.0686, 0.04, 0.5),  # drives brake, and the noise ends while balances hold the stop
+])  # fmt: skip
+def test_given_a_noisy_reading_in_the_loop_then_no_other_is_blamed(
+    joint, seed, onset, size, duration
+):
+    noise = Fault(f'joint{joint}_encoder', 'noise', onset, duration, size)
+    scenario = replace(load_scenario('panda'), seed=seed, parameter_error=0.05, faults=(noise,))
+    arm = with_sensors(load_arm('panda'), rates='derived')
+    run = run_closed_loop(arm, replace(scenario, duration=9.0))
+    assert {one.sensor for one in run.alarms} == {noise.sensor}
+
+
 def test_given_no_readings_for_less_than_50_ms_when_the_arm_moves_then_it_is_not_stopped():
     faults = (Fault(f'encoder{i}', 'dropout', 1.0, duration=0.04) for i in (1, 2, 3))
     run = simulate(*faults, duration=2.0)

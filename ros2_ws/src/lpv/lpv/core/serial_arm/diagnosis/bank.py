@@ -288,16 +288,16 @@ class Bank:
         self._state['unchanged'] = 0
 
     def compare(
-        self, blocks: Callable[[int], FloatArray], stuck: list[Hypothesis], known: set[int]
+        self, blocks: Callable[[int], FloatArray], stuck: list[Hypothesis], wrong: set[int]
     ) -> Compared:
         """Compare all hypotheses, after `ask_bank`; `statistic` is written.
 
         ``blocks`` gives the blocks of so many last intervals, oldest first; ``stuck`` comes from
-        the method of that name; faults of sensors ``known`` are followed.
+        the method of that name; sensors ``wrong`` had faults in these intervals.
         """
         count, evidence = int(self._state['windows']), self._evidence
         held = self._held(blocks, count)
-        single = stuck + self._load_changes(count) + self._stops(held, known)
+        single = stuck + self._load_changes(count) + self._stops(held, wrong)
         single += self._wrong_stamps(held)
         if self._derived.any():
             single += self._sudden(blocks, count)
@@ -364,18 +364,18 @@ class Bank:
             for one, begin, moved in zip(evidence, begins, change)
         ]
 
-    def _stops(self, held: FloatArray, known: set[int]) -> list[Hypothesis]:
+    def _stops(self, held: FloatArray, wrong: set[int]) -> list[Hypothesis]:
         """An arm that came to rest was stopped by torques that no effort tells, as by its brakes.
 
         What they take from the momentum is what that changes by in the balances of the stop.  The
-        joints of all sensors without a ``known`` fault rest then: a fault shows in one.  How fast
+        joints of all sensors but the ``wrong`` ones rest then: a fault shows in one.  How fast
         the others were is not known.  ``held`` is as of `_held`.
         """
         estimator, plan, n = self.estimator, self.estimator.plan, self.estimator.joints
         last, rates = len(held) // plan.blocks - 1, self._mean_rates(held)
         if last < 1:
             return []
-        sensors = [i for i in range(n) if i not in known]
+        sensors = [i for i in range(n) if i not in wrong]
         rests = at_rest(rates, estimator.balance.scale, sensors)
         # Joints that stopped in the newest interval rest at its end.
         rests[0] |= at_rest(held[-1, n : 2 * n], estimator.balance.scale, sensors)
@@ -383,7 +383,7 @@ class Bank:
         if not stops:
             return []
         at = recent(estimator.window, last)
-        mass, faulty = estimator.window.momenta[at], sorted(known)
+        mass, faulty = estimator.window.momenta[at], sorted(wrong)
         change = np.einsum('bij,bj->bi', mass, rates[:-1] - rates[1:])[:, :, None]
         unknown = mass[:, :, faulty] * USUAL_RATE * estimator.balance.scale[faulty]
         change = np.concatenate([change, unknown], axis=2)

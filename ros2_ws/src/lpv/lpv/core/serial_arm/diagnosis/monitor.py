@@ -255,6 +255,7 @@ class SerialMonitor:
     def begin_again(self) -> None:
         """Begin new balances, as after a gap in the samples."""
         for i, sensor in enumerate(self.sensors):
+            sensor.wrong_until = -math.inf  # of no new balance
             if sensor.active and sensor.level:  # new balances know of no offset
                 self.followed.take_out_level(i)
                 self.healthy = self.guarantee = None  # readings are changed
@@ -500,7 +501,7 @@ class SerialMonitor:
         """Compare hypotheses, name a cause."""
         found, stuck = Compared(in_columns([]), []), self._stuck if self._state['rests'] else []
         if self._state['asked']:
-            found = self.bank.compare(self.readings.blocks, stuck, self.followed.known)
+            found = self.bank.compare(self.readings.blocks, stuck, self._wrong_of_late(now))
         seen = self._seen(found)
         self._suspected[:] = 0.0
         if seen is not None:
@@ -513,6 +514,12 @@ class SerialMonitor:
         self._mark_suspects()
         quiet = seen is None and self.bank.statistic < self._state['threshold']
         return Stage.LEVELS if quiet else Stage.END
+
+    def _wrong_of_late(self, now: float) -> set[int]:
+        """Sensors that do not tell of all intervals of the balances whether their joints rested."""
+        first = now - STARTS[-1] - 2.0 * self.plan.interval
+        late = (i for i, one in enumerate(self.sensors) if one.wrong_until > first)
+        return {*self.followed.known, *late}
 
     def _weigh_jumps(self, now: float) -> Stage:
         """Whether jumps were scale errors, or the ends of faults that nobody had noticed."""
@@ -830,6 +837,8 @@ class SerialMonitor:
         sigma, level, sigmas = self.faults()[1], self.estimator.level, self.settings.sigmas
         clears, dwell = not self.settings.latch, self.settings.clear_dwell
         contradicts = self.contradicts
+        for i in self.followed.known:
+            self.sensors[i].wrong_until = now
         for i, sensor in enumerate(self.sensors):
             if not sensor.active:
                 continue

@@ -1,5 +1,6 @@
 """State of one sensor, from healthy to faulty and back."""
 
+import math
 from dataclasses import dataclass
 
 from lpv.core.serial_arm.diagnosis.alarms import SensorState
@@ -20,6 +21,7 @@ class SensorRecord:
     unproved: bool = False  # whether its guarantee is still to come
     over_since: float | None = None  # since when the fault seems over [s]
     unseen: bool = False  # whether it was confirmed before a break, and not seen since
+    wrong_until: float = -math.inf  # when its rates were last wrong, or noisy [s]
 
     @property
     def active(self) -> bool:
