@@ -100,6 +100,7 @@ def test_given_noise_that_begins_below_a_jump_then_no_arm_is_thrown(seed, onset,
 
 @pytest.mark.parametrize(('joint', 'seed', 'onset', 'size', 'duration'), [
     (6, 96, 7.0686, 0.04, 0.5),  # drives brake, and the noise ends while balances hold the stop
+    (1, 94, 7.2604, 0.2, 3.0),  # of a base whose turning pulls at the shoulder
 ])  # fmt: skip
 def test_given_a_noisy_reading_in_the_loop_then_no_other_is_blamed(
     joint, seed, onset, size, duration

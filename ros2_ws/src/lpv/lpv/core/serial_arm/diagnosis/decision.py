@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lpv.core.serial_arm.chain import FloatArray
-from lpv.core.serial_arm.diagnosis.balance import OFFSET, READINGS_AT_EDGES, Balance
+from lpv.core.serial_arm.diagnosis.balance import OFFSET, RATE, READINGS_AT_EDGES, Balance
 from lpv.core.serial_arm.diagnosis.bank import BankParts, ask_bank, take_rows
 from lpv.core.serial_arm.diagnosis.estimator import (
     INTERVAL,
@@ -54,6 +54,8 @@ class Stage(IntEnum):
     _TAKE, _FOLLOW, _ESTIMATE, _LINEARISE, _ENDS, _GUARANTEE, _REST, _ASK, _NAME, _LEVELS,
     _RAISE, _END, _RATES, _DONE,
 ) = map(int, Stage)  # fmt: skip
+READINGS_IN_WAY = 2.0
+"""How many times the variance of a reading is in the way of an interval."""
 STILL_TIME = INTERVAL
 """A reading without any change for longer rests [s]."""
 DECISION = record_type(
@@ -151,7 +153,10 @@ def add_noise(
             late += rates * wrong * wrong
             if sampler.noisy[j] == 1:
                 mean = window.rows[at, i, 1 + OFFSET * n + j] ** 2 / interval[1]
-                noisy += reading_noise(sampler, j) * (mean + rates)
+                # Torques grow with the squares of rates, of which noise changes the mean.
+                turned = window.rows[at, i, 1 + RATE * n + j] / interval[0]
+                way = sampler.derived[j] * READINGS_IN_WAY * turned**2
+                noisy += reading_noise(sampler, j) * (mean + rates + way)
         # As learned, most of what is left may be rounding.
         extra = max(rounded - null.noise[i] * null.noise[i], 0.0) + noisy
         window.extra[at, i] += extra
