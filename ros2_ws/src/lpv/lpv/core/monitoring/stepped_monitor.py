@@ -25,7 +25,7 @@ from lpv.core.serial_arm.diagnosis.estimator import UNMEASURED
 from lpv.core.serial_arm.diagnosis.information import slot
 from lpv.core.serial_arm.diagnosis.monitor import LONGEST_STEP, SerialMonitor
 from lpv.core.serial_arm.diagnosis.priors import ACCELERATIONS, USUAL_ACCELERATION, WIDEST_LEVEL
-from lpv.core.serial_arm.diagnosis.sampler import JUMP_SCALE, REPLACED
+from lpv.core.serial_arm.diagnosis.sampler import REPLACED, smallest_jump
 from lpv.core.support.jit import Entries
 from lpv.core.support.records import memory, new_record, plain
 from lpv.core.support.timestamps import NANOSECONDS, NEVER
@@ -219,7 +219,7 @@ class SteppedMonitor(SerialMonitor):
         known.rate_error[:] = np.where(sampler.contrast[REPLACED] > 0.0, np.nan, sampler.rate_error)
         known.bound[:] = settings.sigmas * sigma
         known.threshold[:] = np.maximum(known.bound, settings.minimum_threshold * scales)
-        known.limit[:] = np.maximum(JUMP_SCALE * sampler.usual, sampler.smallest)
+        known.limit[:] = [smallest_jump(sampler, i) for i in range(self.joints)]
         noise = [sampler.noisy[i] and reading_noise(sampler, i) for i in range(self.joints)]
         known.noise[:], known.state[:], known.is_error[:] = noise, state, is_error
         known.predicted[:], known.missed[:] = self._accelerations()

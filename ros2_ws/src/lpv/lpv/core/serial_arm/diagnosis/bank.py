@@ -75,7 +75,7 @@ from lpv.core.serial_arm.diagnosis.priors import (
     USUAL_RATE,
 )
 from lpv.core.serial_arm.diagnosis.published_rates import rate_noise
-from lpv.core.serial_arm.diagnosis.sampler import Sampler, block_end, smallest_jump
+from lpv.core.serial_arm.diagnosis.sampler import Sampler, block_end, rounding_step, smallest_jump
 from lpv.core.serial_arm.diagnosis.stuck import (
     LINEAR,
     Course,
@@ -653,13 +653,17 @@ class BankParts(NamedTuple):
 
 
 @njit_in_place
-def take_rows(bank: BankParts, balance: Balance, window: Window, blocks: FloatArray) -> None:
+def take_rows(
+    bank: BankParts, balance: Balance, window: Window, blocks: FloatArray, sampler: Sampler
+) -> None:
     """Take the balance that has joined the window; ``blocks`` are those of its two intervals."""
     at, n, independent = slot(window, 0), bank.matrix.shape[0], False
     bank.state[0].age += 1
     bank.state[0].unchanged += 1
     for i in range(n):
         independent = independent or bank.kinematics.independent[i]
+        rounded = rounding_step(sampler, i) ** 2 / 6.0  # both ends of a row
+        bank.kinematics.ends[i] = max(bank.kinematics.stated[i], rounded)
     if independent:
         take_row(bank.kinematics, blocks, bank.interval)
     mass_matrix(balance.chain, window.poses[at], balance.work, bank.matrix)

@@ -228,7 +228,7 @@ def decide(parts: Parts) -> None:
         take_balances(horizon, parts.balance, state.now, state.learns)
         if leave_out_missing(window, parts.sampler, state.held):
             weigh_all(horizon, 1)
-        take_rows(bank, parts.balance, window, parts.recent)
+        take_rows(bank, parts.balance, window, parts.recent, parts.sampler)
         state.balances += 1
         state.stage = _FOLLOW if state.follows else _ESTIMATE
     if state.stage == _ESTIMATE:

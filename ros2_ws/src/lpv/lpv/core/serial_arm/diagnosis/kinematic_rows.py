@@ -30,7 +30,8 @@ class Kinematics(NamedTuple):
     jumps: FloatArray  # (rows, n) variances of jumps in rows to come, the next one first [rad2]
     independent: BoolArray  # (n,) whether the rate has a sensor of its own
     trusted: BoolArray  # (n,) whether it has, and its rows count
-    ends: FloatArray  # (n,) variance of a row by the readings at its ends [rad2]
+    stated: FloatArray  # (n,) variance of a row by the readings at its ends, by the file [rad2]
+    ends: FloatArray  # (n,) the same, at least by the rounding that readings show [rad2]
     walk: FloatArray  # (n,) of int v dt, per second [rad2/s]
     bias: FloatArray  # (n,) standard deviation of the rate's bias [rad/s]
     inflation: FloatArray  # (n,) factor of the variance, as seen
@@ -233,12 +234,13 @@ class KinematicRows:
         noise, step, rate, independent = arm.sensors()
         self._interval, n, reading = plan.interval, len(noise), noise**2 + step**2 / 12.0
         least, most = NEGLIGIBLE * arm.scales(), round(DRIFT_STARTS[-1] / plan.interval) + 1
+        stated = 2.0 * reading / plan.per_block + least**2
         latest = (LATE * arm.sample_time) ** 2 / plan.per_block
         self.parts = Kinematics(
             np.zeros((most, n)), np.zeros((most, n)), np.zeros((most + 1, n)),
             np.zeros(1, np.int64), np.zeros((2 + DELAY // plan.per_interval, n)),
             independent, independent.copy(),
-            2.0 * reading / plan.per_block + least**2, rate**2 * arm.sample_time,
+            stated, stated.copy(), rate**2 * arm.sample_time,
             np.maximum(RATE_BIAS * rate, 4.0 * least), np.ones(n), np.zeros(1),
             np.array([1.0 / RATE_LAG**2]), np.array([WRONG_STAMPS * latest]),
             np.zeros(most + 1),

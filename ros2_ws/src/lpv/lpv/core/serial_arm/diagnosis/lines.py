@@ -20,6 +20,7 @@ from lpv.core.serial_arm.diagnosis.sampler import (
     STAMPS,
     USUAL_JUMP,
     Sampler,
+    largest_rounding,
     learned_scale,
     smallest_jump,
 )
@@ -78,7 +79,8 @@ def is_step_between_lines(sampler: Sampler, i: int) -> bool:
     that changes at once, within one period, does not explain is beyond chance; most of it shows in
     e, lines leave little of it, and no other reading jumps.
     """
-    jump, least = abs(sampler.lines[LINE_JUMP, i]), sampler.smallest[i]
+    jump = abs(sampler.lines[LINE_JUMP, i])
+    least = sampler.smallest[i] + largest_rounding(sampler, i)
     chance = sampler.lines[LINE_LIMIT, i] * _usual(sampler, i)
     if sampler.derived[i] == 0.0 or sampler.lines[LINE_WAIT, i] > 0.0:
         return False

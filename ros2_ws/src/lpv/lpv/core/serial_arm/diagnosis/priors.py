@@ -39,6 +39,8 @@ SCALE_STEADY = 0.01
 """The same of a scale error [-]."""
 WRONG_STAMPS = 0.01
 """Share of stamps that are wrong, before any were seen."""
+COARSEST_ROUNDING = 0.0175
+"""Largest step that readings are rounded to without their file saying so: a degree [rad]."""
 RATE_LAG = 0.05
 """Lag of independent rates behind their readings, standard deviation: a filter of 3 Hz [s]."""
 

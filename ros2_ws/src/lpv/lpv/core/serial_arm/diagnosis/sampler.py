@@ -6,6 +6,7 @@ import numpy as np
 
 from lpv.core.serial_arm.chain import FloatArray, IntArray
 from lpv.core.serial_arm.diagnosis.information import ROBUST, median
+from lpv.core.serial_arm.diagnosis.priors import COARSEST_ROUNDING
 from lpv.core.support.jit import njit_in_place
 
 DELAY = 5
@@ -43,6 +44,8 @@ how much those of the block may be; the length of the block so far, and the inte
 over it."""
 ROUNDING = 1e-12
 """Change of a reading that rounding explains, where it was found from joint positions [rad]."""
+_SINGLE_PRECISION = 1e-6
+"""What a change of a reading of a few radians may be off by in single precision [rad]."""
 JUMP_SCALE = 10.0
 """A jump is larger than so many times the usual size of e."""
 LATE = 1.5
@@ -90,12 +93,14 @@ class Sampler(NamedTuple):
     size: FloatArray  # height of a jump that was found, or may be hidden, shape (n,) [rad]
     since: IntArray  # samples since that step, itself included, shape (n,)
     raw: FloatArray  # last reading as it came, shape (n,) [rad]
+    change: FloatArray  # (n,) what it changed by, 0 after a gap [rad]
     measured: FloatArray  # (n,) samples since the effort was missing, infinite if it never was
     still: IntArray  # samples for which the reading has not changed at all, shape (n,)
     held: IntArray  # the same before the last change, if that was the last sample, shape (n,)
     lively: FloatArray  # (n,) share of changes that go back and forth by more than rounding
     stop: FloatArray  # rate of the reading before it came to rest, shape (n,) [rad/s]
     grain: FloatArray  # (n,) smallest change of the reading, at least its rounding step [rad]
+    step: FloatArray  # (n,) the same, or smallest change of such a change, if that is less [rad]
     # (4, n) jumps lately, usual e^2 while noisy [rad2], correction before [rad], how many e^2 it is
     # the mean of
     noise: FloatArray
@@ -139,8 +144,8 @@ def new_sampler(
         np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n),
         derived.copy(), np.zeros((3, n)), np.zeros(n), np.zeros((capacity, 3 * n + 4)),
         np.zeros((capacity, n)), np.zeros(n, np.int64), np.zeros(n), np.zeros(n, np.int64),
-        np.zeros(n), np.full(n, np.inf), np.zeros(n, np.int64), np.zeros(n, np.int64), np.zeros(n),
-        np.zeros(n), np.full(n, np.inf), np.zeros((4, n)),
+        np.zeros(n), np.zeros(n), np.full(n, np.inf), np.zeros(n, np.int64), np.zeros(n, np.int64),
+        np.zeros(n), np.zeros(n), np.full(n, np.inf), np.full(n, np.inf), np.zeros((4, n)),
         np.zeros(n, np.int64), np.zeros((HISTORY, n), np.int64), np.zeros(n, np.int64),
         np.zeros((4, n)), np.zeros((8, n)), np.zeros((probe, 2 * n + 1)), counters,
         np.zeros(9), period)  # fmt: skip
@@ -163,6 +168,9 @@ def watch_change(sampler: Sampler, i: int, change: float) -> None:
     """Learn rounding and noise of a reading from a change of it, before its sample is kept."""
     last, k = sampler.samples[:, 0, i], HISTORY - 2
     sampler.grain[i] = min(sampler.grain[i], abs(change))
+    sampler.step[i], further = min(sampler.step[i], abs(change)), abs(change - sampler.change[i])
+    if further > _SINGLE_PRECISION:  # a joint that is fast makes no small changes
+        sampler.step[i] = min(sampler.step[i], further)
     if sampler.noisy[i] == 1:
         return
     # More than one step of its rounding.
@@ -289,7 +297,21 @@ def learned_scale(scale: float, e: float, count: float) -> float:
 @njit_in_place
 def smallest_jump(sampler: Sampler, i: int) -> float:
     """Size of e beyond which a reading jumps [rad]."""
-    return float(max(JUMP_SCALE * sampler.usual[i], sampler.smallest[i]))
+    least = sampler.smallest[i] + largest_rounding(sampler, i)
+    return float(max(JUMP_SCALE * sampler.usual[i], least))
+
+
+@njit_in_place
+def rounding_step(sampler: Sampler, i: int) -> float:
+    """What a reading may be rounded to, 0 if it moved by more than that alone [rad]."""
+    step = sampler.step[i]
+    return float(step) if step <= COARSEST_ROUNDING * sampler.unit[i] else 0.0
+
+
+@njit_in_place
+def largest_rounding(sampler: Sampler, i: int) -> float:
+    """What rounding makes of e at most [rad]: twice as much where rates are made of the reading."""
+    return float((1.0 + sampler.derived[i]) * rounding_step(sampler, i))
 
 
 def block_end(block: FloatArray) -> float:

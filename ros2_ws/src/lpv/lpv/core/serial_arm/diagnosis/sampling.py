@@ -83,6 +83,7 @@ def push_sample(
             sampler.still[i] += 1
             if sampler.still[i] == 1:
                 measure_stop(sampler, i)
+        sampler.change[i] = way if follows else 0.0
         watch_lag(sampler, i, way, v[i], period)
         watch_contrast(sampler, i, way / period, v[i], hidden)
         sampler.raw[i] = y[i]
