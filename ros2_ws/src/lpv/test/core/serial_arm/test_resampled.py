@@ -49,3 +49,12 @@ def test_given_repeated_samples_that_were_smoothed_when_a_reading_drifts_then_it
 ):
     monitor = resampled(rates, degree, 1, Injected(1, 10.0, 30.0))
     assert blamed(monitor)[0] == ('encoder2', 'drift') and monitor.alarms[0].detected < 11.5
+
+
+@pytest.mark.parametrize(('degree', 'seed'), [(1, 3), (1, 4), (1, 6), (3, 3)])
+def test_given_repeated_samples_that_were_smoothed_when_a_reading_drifts_then_no_other_drifts(
+    degree, seed
+):
+    # The drifting reading, as corrected, shows that all come late, which two others hardly do.
+    monitor = resampled('independent', degree, seed, Injected(1, 10.0, 30.0))
+    assert {one for one in blamed(monitor) if one[1] != 'bias'} == {('encoder2', 'drift')}

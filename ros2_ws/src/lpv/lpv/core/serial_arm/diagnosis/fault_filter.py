@@ -90,6 +90,16 @@ class FaultFilter:
         bound = 0.0 if self.kind == 'stuck' else sigmas * sigma
         return 1.0 - min(1.0, (bound / fault) ** 2) if fault else float(bound == 0.0)
 
+    def rate_sigma(self, rate: float) -> float:
+        """Standard deviation of the fault's rate while its joint moves at one [rad/s].
+
+        Of a frozen reading nothing tells it but that rate.
+        """
+        if self.kind == 'stuck':
+            return math.inf
+        k = 0 if self.is_scale else 1
+        return math.sqrt(self.covariance[k, k]) * (abs(rate) if self.is_scale else 1.0)
+
     def predict(self, now: float) -> None:
         """Let the state go on until a moment [s]."""
         self.mean, self.covariance = self._after(now - self.updated)

@@ -144,6 +144,10 @@ class FollowedFaults:
             may_stop = any(one.may_stop and way is None for one, way in faults)
             stopped = readings.stopped(others) if may_stop else None
             follow_all([*self.filters.values()], readings, kinematic, stopped)
+        for i, one in self.filters.items():
+            rates = bank.kinematics.parts.edges[-1]
+            sure = not (self._rates[i].active or readings.sampler.noisy[i])
+            bank.kinematics.follow(i, one.rate_sigma(float(rates[i])) if sure else math.inf)
 
     def trust_rate(self, i: int) -> None:
         """Use the kinematic rows of a joint while no fault of its sensors is known."""

@@ -31,6 +31,8 @@ class Kinematics(NamedTuple):
     independent: BoolArray  # (n,) whether the rate has a sensor of its own
     trusted: BoolArray  # (n,) whether it has, and its rows count
     stated: FloatArray  # (n,) variance of a row by the readings at its ends, by the file [rad2]
+    # (n,) variance of a row by what a followed fault takes out, infinite where none does [rad2]
+    followed: FloatArray
     ends: FloatArray  # (n,) the same, at least by the rounding that readings show [rad2]
     walk: FloatArray  # (n,) of int v dt, per second [rad2/s]
     bias: FloatArray  # (n,) standard deviation of the rate's bias [rad/s]
@@ -84,12 +86,14 @@ def _see_late(own: Kinematics, interval: float) -> None:
     """Doubt the times of both ends of the last row where readings of all joints are late alike.
 
     Smoothed by who resampled them, they were so for longer than a sample shows.  What one sensor's
-    fault makes is explained by its own joint as well, but for the noise of the others.
+    fault makes is explained by its own joint as well, but for the noise of the others.  Readings
+    that are corrected by a fault that is followed show it, too.
     """
     most, power, found, largest = own.rows.shape[0], 0.0, 0.0, 0.0
     for i in range(own.ends.shape[0]):
-        if own.trusted[i]:
+        if own.trusted[i] or own.followed[i] < np.inf:
             variance = own.inflation[i] * (own.ends[i] + own.walk[i] * interval)
+            variance += 0.0 if own.trusted[i] else own.followed[i]
             variance = max(variance + own.variances[most - 1, i], _BEFORE)
             row, rate = own.rows[most - 1, i], own.edges[most, i]
             power += rate * rate / variance
@@ -176,17 +180,23 @@ def sum_rows(own: Kinematics, interval: float, lengths: IntArray, rows: Rows) ->
 def _doubt_stamps(own: Kinematics, count: int, weight: FloatArray, found: FloatArray) -> None:
     """Let sums say what they do where stamps of both ends of their window may be wrong.
 
-    These are common to all sensors: their covariance is s v v^T.
+    These are common to all sensors: their covariance is s v v^T.  What is known to be late was read
+    at any moment of an interval, over which rates change by dv: that adds s dv dv^T / 3.  Rates
+    that wrap change more, and are not late.
     """
     n, most, matrix, inverse = weight.shape[0], own.rows.shape[0], own.matrix[0], own.matrix[1]
     now, then = own.edges[most], own.edges[most - count]
+    before, after = own.edges[most - 1], own.edges[most - count + 1]
     late, old = own.stamps[0] + own.late[most], own.stamps[0] + own.late[most - count]
     if late + old == 0.0:
         return
     for i in range(n):
         for j in range(n):
             counts = weight[i] > 0.0 and weight[j] > 0.0
-            both = late * now[i] * now[j] + old * then[i] * then[j] if counts else 0.0
+            both = late * now[i] * now[j] + old * then[i] * then[j]
+            both += own.late[most] / 3.0 * (now[i] - before[i]) * (now[j] - before[j])
+            both += own.late[most - count] / 3.0 * (after[i] - then[i]) * (after[j] - then[j])
+            both = both if counts else 0.0
             matrix[i, j], inverse[i, j] = both, 1.0 if i == j else 0.0
         matrix[i, i] += 1.0 / weight[i] if weight[i] > 0.0 else 1.0
     factorise(matrix, own.ends)  # no pivot is smaller than what readings alone leave
@@ -240,7 +250,7 @@ class KinematicRows:
             np.zeros((most, n)), np.zeros((most, n)), np.zeros((most + 1, n)),
             np.zeros(1, np.int64), np.zeros((2 + DELAY // plan.per_interval, n)),
             independent, independent.copy(),
-            stated, stated.copy(), rate**2 * arm.sample_time,
+            stated, np.full(n, np.inf), stated.copy(), rate**2 * arm.sample_time,
             np.maximum(RATE_BIAS * rate, 4.0 * least), np.ones(n), np.zeros(1),
             np.array([1.0 / RATE_LAG**2]), np.array([WRONG_STAMPS * latest]),
             np.zeros(most + 1),
@@ -265,7 +275,13 @@ class KinematicRows:
     def leave_out(self, joint: int, out: bool) -> None:
         """Do without the rows of a joint one of whose sensors has failed, or with those to come."""
         self.trusted[joint] = self._independent[joint] and not out
+        self.parts.followed[joint] = np.inf
         self.forget(joint)
+
+    def follow(self, joint: int, sigma: float) -> None:
+        """Readings of a joint are corrected, at a rate that is off by a standard deviation."""
+        if self._independent[joint]:
+            self.parts.followed[joint] = (sigma * self._interval) ** 2
 
     def forget(self, joint: int) -> None:
         """Do without the rows of a joint so far."""
