@@ -101,8 +101,11 @@ CLOSE = with_joints(CLOSE, sensors=QUIET, friction={'coulomb': 0.0})
 """An arm that its file states closely, but for what a test says of drives and sensors."""
 
 
-def largest_ratio(arm, swing, speed, late=0.0, missed=0.0, seconds=5.0):
-    """Largest estimate of a healthy arm over its threshold in a motion; efforts are late [s]."""
+def largest_ratio(arm, swing, speed, late=0.0, missed=0.0, seconds=5.0, late_again=None):
+    """Largest estimate of a healthy arm over its threshold in a motion; efforts are late [s].
+
+    Every so many samples, ``late_again``, two in a row are those of a period before.
+    """
     rng, sensors = np.random.default_rng(0), arm.joints[0].sensors
     t = arm.sample_time * np.arange(round(seconds / arm.sample_time))
     model = SerialModel(compile_chain(arm))
@@ -119,6 +122,8 @@ def largest_ratio(arm, swing, speed, late=0.0, missed=0.0, seconds=5.0):
     if sensors.quantization:
         q = sensors.quantization * np.round(q / sensors.quantization)
     samples = np.stack([q, v, model.torque(*motion(t - late)) + missed], axis=1)
+    for k in range(late_again or len(t), len(t), late_again or 1):
+        samples[k : k + 2] = samples[k - 1 : k + 1].copy()
     monitor, chunk, largest = Watched(arm), round(0.25 / arm.sample_time), 0.0
     for k in range(0, len(t), chunk):
         part = slice(k, k + chunk)
@@ -149,6 +154,12 @@ AT_REST = description.TorqueTolerance((0.0, 0.005), (2.0, 0.0))
 ])  # fmt: skip
 def test_given_what_a_file_states_when_it_is_so_then_thresholds_hold(stated, motion, most):
     assert largest_ratio(with_joints(CLOSE, **stated), *motion) < most
+
+
+def test_given_samples_that_are_late_twice_when_the_next_is_not_then_thresholds_hold():
+    """The readings have not gone half their way in two periods: the second was late, too."""
+    arm = with_sensors(CLOSE, rates='derived')
+    assert largest_ratio(arm, 0.6, 2.0, late_again=60) < 0.5
 
 
 @LEVEL

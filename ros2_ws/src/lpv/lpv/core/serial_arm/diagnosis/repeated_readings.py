@@ -16,12 +16,16 @@ from lpv.core.support.jit import njit_in_place
 def fill_repeated(sampler: Sampler) -> None:
     """Move readings that were repeated to where the joints were: their driver was late.
 
-    They went evenly to their new readings, if their rates before explain these, else on at those.
+    They went evenly to their new readings, if their rates before explain these, else on at those;
+    evenly to the next ones, too, where these have caught up.
     Where all go on from where they were for more than a sample, time stood still: they stay.
     """
     now, n, evenly, resumed = HISTORY - 1, sampler.scale.shape[0], True, True
     for i in range(n):
         held, reading = sampler.held[i], sampler.samples[:, 0, i]
+        if held == 0 and sampler.filled[i] == 2 and _was_late_again(sampler, i):
+            since = sampler.time[now] - sampler.time[now - 3]
+            _go_on(sampler, i, now - 3, (reading[now] - reading[now - 3]) / since)
         if held > 0 and not _is_late(sampler, i):  # it rested
             if sampler.derived[i] == 1.0 and sampler.counters[COUNT] > 0:
                 time = (held + 1) * (sampler.time[now] - sampler.time[now - 1])
@@ -43,12 +47,31 @@ def fill_repeated(sampler: Sampler) -> None:
         old = now - 1 - sampler.held[i]
         time, way, rate = _since_change(sampler, i)
         rate = way / time if evenly else rate
-        for k in range(old + 1, now):
-            since = sampler.time[k] - sampler.time[old]
-            sampler.samples[k, 0, i] = sampler.samples[old, 0, i] + rate * since
+        _go_on(sampler, i, old, rate)
         sampler.filled[i] = 3  # e of the last sample but one holds three readings
-        if sampler.derived[i] == 1.0:
-            sampler.samples[old + 1 :, 1, i] = rate
+
+
+@njit_in_place
+def _go_on(sampler: Sampler, i: int, old: int, rate: float) -> None:
+    """Let a reading go on from a sample until the last one at a rate."""
+    for k in range(old + 1, HISTORY - 1):
+        since = sampler.time[k] - sampler.time[old]
+        sampler.samples[k, 0, i] = sampler.samples[old, 0, i] + rate * since
+    if sampler.derived[i] == 1.0:
+        sampler.samples[old + 1 :, 1, i] = rate
+
+
+@njit_in_place
+def _was_late_again(sampler: Sampler, i: int) -> bool:
+    """Whether a reading that went half its way after it was repeated has caught up now.
+
+    That sample was late, too.
+    """
+    now, old, reading, time = HISTORY - 1, HISTORY - 4, sampler.samples[:, 0, i], sampler.time
+    rate, until = sampler.samples[old, 1, i], time[now - 1] - time[old]
+    short = reading[now - 1] - reading[old] - rate * until
+    left = reading[now] - reading[old] - rate * (time[now] - time[old])
+    return bool(abs(short + 0.5 * rate * until) < abs(short) and abs(left) < 0.5 * abs(short))
 
 
 @njit_in_place
