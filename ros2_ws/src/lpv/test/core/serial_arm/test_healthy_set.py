@@ -156,6 +156,25 @@ def test_given_what_a_file_states_when_it_is_so_then_thresholds_hold(stated, mot
     assert largest_ratio(with_joints(CLOSE, **stated), *motion) < most
 
 
+@pytest.mark.parametrize(('load', 'sensors'), [
+    (20.0, {}),
+    # Momenta change with the pose: each has noise of readings, which their difference hides.
+    (5.0, {'position_noise': 0.02, 'velocity_noise': 1e-3}),
+])  # fmt: skip
+def test_given_an_unknown_load_that_outweighs_links_then_noise_is_that_of_both(load, sensors):
+    arm = replace(with_sensors(ARM, **sensors), uncertainty=replace(STATED, payload=load))
+    chain = compile_chain(arm)
+    sizes = parameter_set(arm, chain)
+    shares, largest = np.zeros(generator_count(sizes)), 0.0
+    shares[payload_generator(sizes, load)] = 1.0
+    for seed in range(6):
+        run = simulated_run(arm, 1.0, plant=member(chain, sizes, shares), seed=seed)
+        found = watch(arm, run).healthy.evaluate()
+        wrong = np.abs(found.estimate - found.effects @ shares)[1:]
+        largest = max(largest, float((wrong / found.noise[1:]).max()))
+    assert 0.1 < largest < 1.0
+
+
 def test_given_samples_that_are_late_twice_when_the_next_is_not_then_thresholds_hold():
     """The readings have not gone half their way in two periods: the second was late, too."""
     arm = with_sensors(CLOSE, rates='derived')

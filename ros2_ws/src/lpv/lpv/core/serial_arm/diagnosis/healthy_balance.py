@@ -26,7 +26,7 @@ from lpv.core.serial_arm.description import SIGMAS
 from lpv.core.serial_arm.diagnosis.balance import OFFSET as _READING
 from lpv.core.serial_arm.diagnosis.balance import RATE
 from lpv.core.serial_arm.diagnosis.hat import Hat, close_hat, new_hat, put
-from lpv.core.serial_arm.diagnosis.parameter_set import ParameterSet
+from lpv.core.serial_arm.diagnosis.parameter_set import ParameterSet, heaviest
 from lpv.core.serial_arm.dynamics.friction import acting_share, smooth_sign
 from lpv.core.serial_arm.dynamics.momentum import mass_matrix
 from lpv.core.serial_arm.dynamics.regressor import momentum_regressor
@@ -38,6 +38,8 @@ RESIDUAL, SPEED, VISCOSITY, DRY, LOADED, ONE, TORQUE, SLACK, VARIANCE = range(9)
 """Columns of the parts that concern one joint each; the last two, what blocks hide [N m s] and the
 variance of the noise in friction [N2 m2 s2], with the sign of a force."""
 _PARTS = VARIANCE + 1
+_STEP = 1e-4
+"""Of differences by a reading [rad]."""
 _HELD = 0.9
 """Share of the largest bend of a torque that counts an interval later: half after seven."""
 
@@ -46,6 +48,7 @@ class HealthyBalance(NamedTuple):
     """Balances of a healthy arm."""
 
     chain: Chain  # the nominal arm
+    heaviest: Chain  # of the set: noise is at most as that of its momenta
     sizes: ParameterSet  # what may differ
     hat: Hat  # of 10 n + 9 columns: the regressor, then parts of one joint
     last: FloatArray  # (3, n) means q, v and net force of the block before
@@ -55,6 +58,9 @@ class HealthyBalance(NamedTuple):
     second: FloatArray  # (n, 10 n) scratch: regressor
     work: FloatArray  # scratch: workspace
     matrix: FloatArray  # (n, n) scratch: M
+    heavy: FloatArray  # (n, n) M of the heaviest arm
+    heavier: FloatArray  # (n,) its diagonal over that of the nominal arm
+    turned: FloatArray  # (n, n) change of its momenta by that of a reading
     to_joints: FloatArray  # (n, n) S^-1 of y = S q + f
     motion: FloatArray  # (2, n) scratch: joint positions and rates
 
@@ -63,8 +69,9 @@ def new_healthy_balance(chain: Chain, sizes: ParameterSet, to_joints: FloatArray
     """Balances without samples."""
     n = len(chain.translation)
     return HealthyBalance(
-        chain, sizes, new_hat(n, 10 * n + _PARTS), np.full((3, n), np.inf), np.zeros((2, n)),
-        np.zeros((n, 10 * n)), np.zeros((n, 10 * n)), workspace(chain), np.zeros((n, n)), to_joints,
+        chain, heaviest(chain, sizes), sizes, new_hat(n, 10 * n + _PARTS), np.full((3, n), np.inf),
+        np.zeros((2, n)), np.zeros((n, 10 * n)), np.zeros((n, 10 * n)), workspace(chain),
+        np.zeros((n, n)), np.zeros((n, n)), np.ones(n), np.zeros((n, n)), to_joints,
         np.zeros((2, n)))  # fmt: skip
 
 
@@ -142,12 +149,13 @@ def _add_block(
             for a in range(n):
                 change = abs(balance.matrix[i, a] * (v[a] - balance.last[1, a]))
                 even += part * turn * change / 12.0
+            even *= balance.heavier[i]
         doubt = half + SIGMAS * rate_noise[i]
         slowest, fastest = max(abs(v[i]) - doubt, 0.0), abs(v[i]) + doubt
         missed = tolerated(sizes.tolerance[i], slowest, fastest)
         own = sizes.viscous[i] * abs(v[i]) + sizes.coulomb[i] * abs(sign) + sizes.offset[i]
         product = _loaded_twice(row, sizes.load[i], (left, sign, acts), own + missed)
-        uneven = dry + sizes.coulomb[i] + sizes.load[i] * load
+        uneven = most_dry = dry + sizes.coulomb[i] + sizes.load[i] * load
         if uneven != 0.0:
             uneven *= _within(v[i], half, slope)
         if slowest == 0.0:  # it may rest, friction may be anything
@@ -156,7 +164,8 @@ def _add_block(
             uneven = max(uneven, most / max(1.0 - share, SAME) + dry * abs(sign))
         missed = length * (uneven + product + max(acts, 1.0) * missed)
         hides = max(acts, 1.0) * lost[i]  # anywhere in the block
-        bend = row[VISCOUS] + dry * slope * (2.0 / np.pi) / (1.0 + (slope * v[i]) ** 2)
+        bend = most_dry * slope * (2.0 / np.pi) / (1.0 + (slope * v[i]) ** 2)
+        bend += row[VISCOUS] + sizes.viscous[i]
         noise = (length * bend * rate_noise[i]) ** 2
         slack, rest, rising, falling = span + SLACK, 1.0 - place, hat.rising[1, i], hat.falling[i]
         rising[slack] += place * missed + even + (place + 0.5 * part) * hides
@@ -234,6 +243,7 @@ def close_healthy_interval(
     that of the mean rates [N2 m2 s2], and the slack of how late torques bend.
     """
     n, row, span = effects.shape[0], balance.hat.rows, 10 * effects.shape[0]
+    _weigh_heaviest(balance)
     if close_hat(balance.hat, length):
         sizes, count = balance.sizes, balance.sizes.inertial.shape[0]
         effects[:, 1 + count :] = 0.0
@@ -260,6 +270,28 @@ def close_healthy_interval(
             for j in range(n):
                 bias = sizes.rate_bias[j] * rows[i, 1 + RATE * n + j]
                 effects[i, 1 + count + 6 * n + j] = -bias
-                effect = abs(rows[i, 1 + _READING * n + j])
+                effect = balance.heavier[i] * abs(rows[i, 1 + _READING * n + j])
                 doubts[0, i] += sizes.rounding[j] * effect
-                doubts[1, i] += (reading[j] * effect) ** 2
+                # Noise of one of the two mean momenta is not that of the other.
+                both = effect * effect + 2.0 * balance.turned[i, j] * balance.turned[i, j]
+                doubts[1, i] += reading[j] * reading[j] * both
+
+
+@njit
+def _weigh_heaviest(balance: HealthyBalance) -> None:
+    """Renew what concerns the heaviest arm, at the pose and rates of the last block."""
+    n, (q, v), to_joints = balance.heavier.shape[0], balance.motion, balance.to_joints
+    mass_matrix(balance.heaviest, q, balance.work, balance.heavy)
+    for i in range(n):
+        own = max(balance.matrix[i, i], SAME)
+        balance.heavier[i] = max(balance.heavy[i, i] / own, 1.0)
+    for j in range(n):
+        for k in range(n):
+            q[k] += _STEP * to_joints[k, j]
+        mass_matrix(balance.heaviest, q, balance.work, balance.matrix)
+        for i in range(n):
+            q[i] -= _STEP * to_joints[i, j]
+            balance.turned[i, j] = 0.0
+            for k in range(n):
+                change = balance.matrix[i, k] - balance.heavy[i, k]
+                balance.turned[i, j] += change * v[k] / _STEP

@@ -8,7 +8,8 @@ constant.  So
                  + abs(mean(noise)) + sigmas sd(noise) + rest
 
 with l_i the estimator's own weights: what it has learned of the arm, z_k do not disturb any more.
-The mean of the noise is not zero, as that of rates is in the weights, too (errors in variables).
+The noise is that of the heaviest arm: unlike E_bk, it is none of what was measured.
+Its mean is not zero, as that of rates is in the weights, too (errors in variables).
 The rest is known: where the estimator linearised elsewhere than at the readings.  The slack of what
 is remembered is bounded by the inequality of Cauchy and Schwarz.
 """
@@ -86,6 +87,7 @@ class HealthyRing(NamedTuple):
     balance: HealthyBalance
     effects: FloatArray  # (capacity, n, 1 + k) residual, then the effect of each generator
     doubts: FloatArray  # (capacity, 3, n) as of `close_healthy_interval`
+    momenta: FloatArray  # (capacity, n, n) those of the heaviest arm, by unit rates of readings
     unseen: int  # balances whose torques late efforts may still be about to show
     # (capacity, n, m) mean that noise of rates gives to the unknowns' columns times the residual
     products: FloatArray
@@ -125,6 +127,13 @@ def take_healthy(
     means = edges if balance.derived[sensor] > 0.0 else 2.0
     variance = n * means * ring.mean_noise[sensor] ** 2
     noise_products(balance, sensor, variance, ring.products[at])
+    for i in range(n):
+        for a in range(ring.products.shape[2]):
+            ring.products[at, i, a] *= ring.balance.heavier[i]
+        for j in range(n):
+            ring.momenta[at, i, j] = 0.0
+            for k in range(n):
+                ring.momenta[at, i, j] += ring.balance.heavy[i, k] * ring.balance.to_joints[k, j]
 
 
 @njit_in_place
@@ -166,7 +175,7 @@ def remember(ring: HealthyRing, window: Window, at: int, learn: bool, factor: fl
         for j in range(n):
             noise = 0.0
             for k in range(n):
-                both = window.momenta[at, i, k] * window.momenta[at, j, k]
+                both = ring.momenta[at, i, k] * ring.momenta[at, j, k]
                 noise += both * ring.mean_noise[k] * ring.mean_noise[k]
             total += ring.shared * abs(noise) * np.sqrt(weight * window.weights[at, j])
         largest = max(largest, total)
@@ -199,6 +208,7 @@ class HealthySet:
         by_sensor = np.where(self._derived, difference, rate)
         self.ring = HealthyRing(
             self._balance, np.zeros((plan.capacity, n, columns)), np.zeros((plan.capacity, 3, n)),
+            np.zeros((plan.capacity, n, n)),
             int(np.ceil((sizes.delay[0].max() - 0.5 * arm.sample_time) / plan.interval - SAME)),
             np.zeros((plan.capacity, n, m)), np.zeros((m, columns + 1)), np.zeros(2),
             np.sqrt(map_rows(self._balance.to_joints**2, by_sensor**2)),
@@ -278,7 +288,7 @@ class HealthySet:
         total = (map_**2).reshape(rows, -1) @ self.ring.doubts[places, 1].ravel()
         moved, variance = np.zeros((rows, last + 4, n)), self.ring.mean_noise**2
         for i in range(n):
-            moved[:, 2:-2] += map_[:, :, i, None] * self._estimator.window.momenta[places, i]
+            moved[:, 2:-2] += map_[:, :, i, None] * self.ring.momenta[places, i]
         once = moved[:, 1:] - moved[:, :-1]
         twice = once[:, 1:] - once[:, :-1]
         total += (once**2).sum(1) @ (variance * ~self._derived)

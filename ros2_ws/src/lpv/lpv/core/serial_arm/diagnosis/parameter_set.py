@@ -9,7 +9,12 @@ import numpy as np
 
 from lpv.core.serial_arm.chain import (
     COULOMB,
+    IXX,
+    IYY,
+    IZZ,
     LOAD,
+    MASS,
+    MX,
     OFFSET,
     VISCOUS,
     Chain,
@@ -110,6 +115,18 @@ def member(chain: Chain, sizes: ParameterSet, shares: FloatArray) -> Chain:
         friction[:, column] += part * size
     motor = chain.motor + parts[0][np.maximum.outer(np.arange(n), np.arange(n))] * sizes.rotor
     return chain._replace(inertial=inertial, friction=friction, motor=motor)
+
+
+def heaviest(chain: Chain, sizes: ParameterSet) -> Chain:
+    """The arm of the set with the largest inertias, as far as one has all of them."""
+    n, count, total = joint_count(chain), len(sizes.inertial), chain.inertial.copy()
+    grows = (sizes.inertial[:, [MASS, IXX, IYY, IZZ]] > 0.0).any(1)
+    np.add.at(total, sizes.body[grows], sizes.inertial[grows])
+    moments = slice(MX, MX + 3)
+    outwards = np.sign((sizes.inertial * total[sizes.body])[:, moments].sum(1))
+    shares = np.zeros(count + 7 * n)
+    shares[:count], shares[count : count + n] = np.where(grows, 1.0, outwards), 1.0
+    return member(chain, sizes, shares)
 
 
 def _delay(arm: SerialArm) -> FloatArray:
