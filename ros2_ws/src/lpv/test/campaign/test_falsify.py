@@ -81,6 +81,15 @@ def test_given_a_serial_arm_when_attacked_then_only_a_monitor_told_too_little_is
     assert search(Attacker(ur10, 2.0, monitored=told), 24)[0].ratio > 1.0
 
 
+@pytest.mark.parametrize(('payload', 'most'), [(2.0, 0.1), (20.0, 0.02)])
+def test_given_a_load_that_may_be_heavy_when_attacked_then_offsets_beside_are_smaller(
+    ur10, payload, most
+):
+    arm = replace(ur10, uncertainty=Uncertainty(payload, 0.1, 0.05))
+    sums = [np.abs(attack.offsets).sum() for attack in attacks(Attacker(arm, 0.2), 10)]
+    assert 0.5 * most < max(sums) <= most + 1e-9
+
+
 def three_joints(**changes):
     """The UR10's first joints, their model exact but for what a test says."""
     arm = with_joints(load_arm('ur10'), **changes)
