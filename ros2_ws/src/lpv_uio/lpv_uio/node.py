@@ -49,6 +49,7 @@ observer {{{','.join(CHOICES)}}}  whose estimate of the faults is published, whe
     *SAMPLING,
 )
 _COMPILING = 'compiling the observer: the first start after an installation takes up to a minute'
+_SILENT = 'no new measurement that fits the arm'
 _MISFIT = 'measurement that does not fit the arm'
 _PARTIAL = 'measurement without all joints of the arm'
 _NOT_ESTIMATED = int(Mode.STALE)
@@ -100,7 +101,8 @@ class UioNode(ManagedNode):
         self._unused = 0  # measurements since then
         self._ahead = 0  # the node's clock of the driver's, about [ns]
         self._answered: int | None = None  # stamp of the last answer [ns]
-        self._silent_since: int | None = None  # time of the last warning, or of the silence [ns]
+        self._silent_since: int | None = None  # time of the last report, or of the silence [ns]
+        self._silence_reports = 0
         self._stale = False
         self._refusals, self._sender = Refusals(self), OneSender(self._arm)
         self._alarms = None if self.lockstep else OpenAlarms(alarm_file(self))
@@ -279,6 +281,7 @@ class UioNode(ManagedNode):
         elapsed = self.elapsed()
         if self._is_new:
             self._received, self._silent_since, self._is_new = elapsed, None, False
+            self._silence_reports = 0
             self._ahead = now - (self._used or 0)
         if self._received is None or self._stale:
             self._warn_of_silence(now, elapsed)
@@ -320,12 +323,18 @@ class UioNode(ManagedNode):
             level, text = WARN, f'{len(senders)} publishers of joint_states: {", ".join(names)}'
         if self._refusals.is_recent:
             level, text = WARN, f'{text}; messages are refused: {self._refusals.last}'
+        elif self._silence_reports and own > 0:
+            level, text = WARN, f'{text}; {_SILENT}'
         if self._alarms is not None and self._alarms.before:
             level, text = ERROR, self._untrusted_text()
         self._status.report(now, level, text, lambda: self._refusals.counts)
 
     def _warn_of_silence(self, now: int, elapsed: int) -> None:
-        """Say every few seconds that no measurement comes, and whether anybody publishes any."""
+        """Say that no measurement comes, and whether anybody publishes any.
+
+        On /diagnostics every few seconds, in the log ever more seldom: an observer may wait for
+        days for a driver that is off.
+        """
         if self._silent_since is None:
             self._silent_since = elapsed
         self._silent_since = min(self._silent_since, elapsed)  # /clock may have been set back
@@ -334,8 +343,11 @@ class UioNode(ManagedNode):
         self._silent_since = elapsed
         if self._stale:
             self._publish_stale(now)
+        self._silence_reports += 1
+        if self._silence_reports.bit_count() > 1:  # its 1st, 2nd, 4th, 8th, ... is logged
+            return
         topic = self.resolve_topic_name('joint_states')
-        text = f'no new measurement that fits the arm on {topic}, publishers: '
+        text = f'{_SILENT} on {topic}, publishers: '
         text += str(self.count_publishers('joint_states'))
         self.get_logger().warning('; '.join([text, *count_texts(self._monitor.counters)]))
 

@@ -370,6 +370,42 @@ def test_given_a_clock_that_stands_or_is_set_back_when_all_ends_then_it_is_stale
         assert ['no new measurement' in text for text in said] == [True, True]
 
 
+@pytest.mark.parametrize('is_heard_before', [True, False])
+def test_given_a_long_silence_when_observed_then_the_log_tells_ever_more_seldom(
+    monkeypatch, is_heard_before
+):
+    now, told, reports = 10**12, [], []
+    driver = SimpleNamespace(node_namespace='/', node_name='driver')
+    with node_of(UioNode, arm_file='paper') as node:
+        logger = SimpleNamespace(
+            warning=lambda text: told.append((now, text)), info=print, error=print
+        )
+        monkeypatch.setattr(node, 'get_logger', lambda: logger)
+        monkeypatch.setattr(node, 'elapsed', lambda: now)
+        monkeypatch.setattr(node, 'get_publishers_info_by_topic', lambda topic: [driver])
+        monkeypatch.setattr(node._status, 'report', lambda *status: reports.append(status[1:3]))
+        arm = Arm(node)
+        if is_heard_before:
+            arm.recover()
+        told.clear()
+        for _ in range(1000):
+            node._check_silence()
+            now += 10**8
+        silent = [(time - 10**12) // 10**9 for time, text in told if 'no new' in text]
+        assert [round(b / a) for a, b in zip(silent, silent[1:])] == [2] * 4, silent
+        stale = [one for one in arm.outputs['diagnostics'].sent if one.status[0].level[0] == STALE]
+        assert len(stale) == (20 if is_heard_before else 0)
+        assert reports[0] == (OK, 'one publisher')
+        assert reports[-1] == (WARN, 'one publisher; no new measurement that fits the arm')
+        if is_heard_before:  # heard again, a silence is told of at once
+            arm.recover()
+            told.clear()
+            for _ in range(100):
+                node._check_silence()
+                now += 10**8
+            assert ['stale' in text for _, text in told] == [True, False]
+
+
 def test_given_a_misspelt_tuning_when_started_then_it_is_refused_by_name():
     with (
         pytest.raises(ConfigError, match='diagnosis.sigma: is not a known parameter.*sigmas'),
