@@ -1,7 +1,6 @@
 """UIO node: state and fault estimates, alarms and diagnostics from joint measurements."""
 
 import math
-import threading
 from collections import deque
 from collections.abc import Sequence
 from typing import Any
@@ -22,6 +21,7 @@ from lpv.core.monitoring.serial_monitor import SerialSensorMonitor
 from lpv.core.serial_arm.arm_file import load_arm
 from lpv.core.serial_arm.diagnosis.alarms import Alarm, AlarmEvent, Mode
 from lpv.core.support.errors import SampleError
+from lpv.core.support.jit import on_compile
 from lpv.core.support.limits import MAX_DELAY, PATIENCE, STALE_AFTER
 from lpv.core.support.timestamps import NANOSECONDS, to_nanoseconds
 from lpv.core.uio.certificate.gains import Gains
@@ -81,14 +81,10 @@ class UioNode(ManagedNode):
     def setup(self) -> None:
         """Read arm and gains, create publishers."""
         self._arm = load_arm(named_file(self, 'arm_file', 'arms'))
-        self._monitor = self._make_monitor()
-        note = threading.Timer(1.0, self.get_logger().info, [_COMPILING])
-        note.start()
-        try:
+        with on_compile(self._say_compiling):
+            self._monitor = self._make_monitor()
             self._monitor.warm_up()
             self._monitor.warm_up_faults()
-        finally:
-            note.cancel()
         self._messages = OutputMessages(self._arm, self._monitor.answer_type)
         self._from_command = self.get_parameter('torque_source').value == 'command'
         self._unknown = [math.nan] * len(self._arm.joint_names)
@@ -117,6 +113,9 @@ class UioNode(ManagedNode):
         self._diagnostics_out = self.create_publisher(DiagnosticArray, '/diagnostics', 10)
         self._status = StatusReporter(self, 'measurements', self._arm.name)
         self.create_service(Trigger, '~/reset', self._on_reset)
+
+    def _say_compiling(self, _function: str) -> None:
+        self.get_logger().info(_COMPILING, once=True)
 
     def _make_monitor(self) -> SerialSensorMonitor:
         """Observers and diagnosis of the arm."""

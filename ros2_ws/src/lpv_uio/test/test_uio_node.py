@@ -1,4 +1,5 @@
 import time
+from contextlib import contextmanager
 from copy import deepcopy
 from types import SimpleNamespace
 
@@ -26,6 +27,7 @@ from lpv.core.simulation.arm_simulator import ArmSimulator
 from lpv.core.support.resources import bringup_file
 from lpv.core.support.timestamps import set_stamp, to_nanoseconds
 from lpv_msgs.msg import FaultAlarm, FaultEstimate, StateEstimate, TorqueCommand
+from lpv_uio import node as uio_node
 from lpv_uio.messages import OutputMessages
 from lpv_uio.node import UioNode
 from lpv_uio.open_alarms import OpenAlarms
@@ -253,6 +255,23 @@ def test_given_an_arm_when_configured_then_the_first_fault_has_nothing_to_compil
     monkeypatch.setattr(kind, 'warm_up_faults', lambda self: warmed.append(self))
     with node_of(UioNode, arm_file='paper') as node:
         assert warmed == [node._monitor]
+
+
+@pytest.mark.parametrize('compiled', [(), ('first', 'second')])
+def test_given_kept_code_when_configured_then_no_compiling_is_told_of(monkeypatch, compiled):
+    said = set()
+
+    @contextmanager
+    def on_compile(tell):
+        for name in compiled:
+            tell(name)
+        yield
+
+    monkeypatch.setattr(uio_node, 'on_compile', on_compile)
+    logger = SimpleNamespace(info=lambda text, **options: said.add(text), warning=print)
+    monkeypatch.setattr(UioNode, 'get_logger', lambda self: logger)
+    with node_of(UioNode, arm_file='paper'):
+        assert any('compiling' in text for text in said) == bool(compiled)
 
 
 def alarm(event=AlarmEvent.RAISED, sensor='link2_angle', kind='bias'):
