@@ -400,8 +400,11 @@ def test_given_bad_samples_or_stamps_when_cleaned_then_few_are_mended_many_refus
     assert np.ptp(mended.time - some.time) < 1e-3
     with pytest.raises(IdentificationError, match='stamps stand still'):
         cleaned(recording, time=np.zeros(len(recording.time)))
-    with pytest.raises(IdentificationError, match='has no efforts'):
-        cleaned(recording, effort=np.full_like(effort, 0.5))
+    for constant, told in ((0.5, 'has efforts that never change'), (np.nan, 'has no efforts of')):
+        with pytest.raises(IdentificationError, match=told):
+            cleaned(recording, effort=np.full_like(effort, constant))
+        with pytest.raises(IdentificationError, match=told):
+            cleaned(recording.rows(slice(2)), effort=np.full_like(effort[:2], constant))
     late = recording.time > 8.0
     parts = cleaned(recording, time=recording.time - 5.0 * late)
     assert parts.warnings == ('the clock was set back (1 times): the recording is cut there',)

@@ -124,10 +124,14 @@ def clean(
         warnings.append('rates are missing, they are computed from positions')
         velocity = None
     measured = effort[_usable(effort)]
-    if not (len(measured) and np.ptp(measured, axis=0).any()):  # as of mock hardware
+    if not (len(measured) and np.ptp(measured, axis=0).any()):
+        what = (
+            'efforts that never change, as of mock hardware'
+            if len(measured)
+            else ('no efforts of all joints')
+        )
         raise IdentificationError(
-            f'{source}: has no efforts of all joints; torques or currents of the motors must be '
-            'recorded, too'
+            f'{source}: has {what}; torques or currents of the motors must be recorded, too'
         )
     recorded = (position, effort) if velocity is None else (position, effort, velocity)
     valid = np.all([_usable(values) for values in recorded], axis=0)
