@@ -34,7 +34,7 @@ FAULT = 'fault.kind: [none, bias, dropout], fault.size: 0.3, fault.onset: 1.2, f
 FLEET = spec(f'{{{FAULT}, path: random}}', seed=4, plan={'method': 'factorial'})
 GOOD = ['a/healthy', 'b/bias', 'b/dropout', 'foreign']
 BAD = {'b/junk.mcap': 'damaged', 'b/lonely': 'no metadata.yaml with files',
-       'deaf': 'has no topic', 'strange': "'joint1'"}  # fmt: skip
+       'deaf': 'has no topic', 'strange': 'measurements can be used ('}  # fmt: skip
 """Bags that cannot be used, and what is said of each."""
 
 

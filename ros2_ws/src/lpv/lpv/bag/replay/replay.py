@@ -94,10 +94,6 @@ class Replay:
                     written = pool.submit(writer.write, batch, copies, answers)
                 written.result()
                 self._check(bag, result)
-                if not result.answered and result.rejected:
-                    (reason, count), *_ = result.rejected.most_common(1)
-                    text = f'none of its {result.measurements} measurements can be used'
-                    raise BagError(f'{bag}: {text} ({count} of them: {reason})')
         return result
 
     def watch(self, bag: str | Path, take: Callable[..., Any]) -> ReplayResult:
@@ -119,6 +115,10 @@ class Replay:
         fitting = result.measurements - sum(result.rejected.values())
         if not result.measurements:
             raise BagError(f'{bag}: holds no message on {result.topic} in the chosen interval')
+        if not result.answered and result.rejected:
+            (reason, count), *_ = result.rejected.most_common(1)
+            text = f'none of its {result.measurements} measurements can be used'
+            raise BagError(f'{bag}: {text} ({count} of them: {reason})')
         if result.answered == 1 < fitting:
             raise BagError(
                 f'{bag}: no measurement on {result.topic} is newer than the first one: let the '

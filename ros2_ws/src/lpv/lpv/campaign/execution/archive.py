@@ -100,15 +100,12 @@ class Archive:
         found = BagFigures(self.arm, self._sampling.get('max_gap', MAX_GAP))
         with _quiet():
             result = Replay(monitor, self._options).watch(path, found.take)
-            rejected = sum(result.rejected.values())
-            if rejected >= result.measurements:
-                raise LpvError('no measurement could be used: ' + next(iter(result.rejected)))
             row = found.row(path, result)
         notes = [text for _, text in result.notes]
         return {
             'topic': result.topic,
             'measurements': result.measurements,
-            'rejected': rejected,
+            'rejected': sum(result.rejected.values()),
             'recorder_lost': result.lost,
             **vars(monitor.counters),
             'warnings': _line('; '.join([*found.warnings, *notes, *result.warnings])),
