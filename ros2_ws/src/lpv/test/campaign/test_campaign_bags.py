@@ -224,8 +224,13 @@ def test_given_an_archive_when_searched_then_bags_and_whose_they_are_is_found(ar
     assert names(archive, [archive / 'b']) == ['a/healthy', 'deaf', 'foreign', 'strange']
     loose = ['cut/cut_0.mcap', 'cut/cut_1.mcap']
     loose += [f'loose/{name}' for name in ('of_ros1.bag', 'one.mcap', 'two.db3')]
-    write_files(tmp_path, dict.fromkeys([*loose, 'whole/whole.mcap', 'old/old_0.db3'], b''))
-    assert names(tmp_path) == ['cut', *loose[2:], 'old/old_0.db3', 'whole']
+    renamed = [f'renamed/{name}' for name in ('bag_0.mcap', 'bag_1.mcap', 'bag_2.mcap')]
+    runs = [f'runs/{name}' for name in ('a_0.mcap', 'b_0.mcap', 'b_1.mcap')]
+    days = [f'days/run_{day}.db3' for day in (1, 2)]
+    files = *loose, 'whole/whole.mcap', 'old/old_0.db3', *renamed, *runs, *days
+    write_files(tmp_path, dict.fromkeys(files, b''))
+    own = ['cut', *days, *loose[2:], 'old/old_0.db3', 'renamed', *runs, 'whole']
+    assert names(tmp_path) == own
     pytest.raises(ConfigError, find_bags, tmp_path / 'nowhere').match('not a folder')
     # The serial number or the folder tells whose a bag is.
     assert (unit_of(archive, 'b/bias'), unit_of(archive, 'foreign')) == ('b', '')

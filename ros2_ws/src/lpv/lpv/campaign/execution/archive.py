@@ -321,7 +321,16 @@ def _bags_in(folder: Path, files: list[str]) -> list[tuple[Path, list[Path]]]:
         return [(folder, [folder / FILE_NAME, *storage])]
     mcap = [path for path in storage if path.suffix == '.mcap']
     own = [p for p in mcap if folder.name in (p.stem, p.stem.rstrip('0123456789').rstrip('_'))]
+    if not own and _is_split(storage):  # and its folder was renamed
+        own = storage
     return [(folder, own)] * bool(own) + [(path, [path]) for path in storage if path not in own]
+
+
+def _is_split(files: Sequence[Path]) -> bool:
+    """Whether files are numbered as rosbag2 numbers those of one bag: from NAME_0 on."""
+    name, suffix = files[0].stem.rpartition('_')[0] if files else '', {one.suffix for one in files}
+    numbered = {f'{name}_{k}' for k in range(len(files))}
+    return len(files) > 1 == len(suffix) and numbered == {one.stem for one in files}
 
 
 def _fingerprint(name: str, paths: Iterable[Path]) -> str:
