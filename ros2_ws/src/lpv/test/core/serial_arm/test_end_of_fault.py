@@ -7,6 +7,8 @@ from fault_injection import BY_NAME, Injected, cells, derived, draw, inject, out
 from serial_arms import answered, shoulder_arm, simulated
 from ur10e_twin import twin
 
+from lpv.core.serial_arm.diagnosis import end_of_fault
+from lpv.core.serial_arm.diagnosis.information import recent
 from lpv.core.simulation.faults import Fault
 
 pytestmark = pytest.mark.slow
@@ -76,6 +78,24 @@ def test_given_a_drift_that_nobody_has_named_yet_then_bounds_hold_it(arm, joint,
     run = Run(arm, 'derived', ('drift', rate), joint, 2.0)
     assert run.during == run.after == 0.0
     assert run.events == [('RAISED', run.name, 'drift'), ('CLEARED', run.name, 'drift')]
+
+
+@pytest.mark.parametrize('duration', [0.99, 1.0, 1.01])
+def test_given_a_jump_within_an_interval_then_balances_are_those_of_whole_ones(
+    monkeypatch, duration
+):
+    asked = []
+
+    def course(estimator, joint, frozen, balances, blocks):
+        asked.append(1)
+        at = recent(estimator.window, len(blocks) // estimator.plan.blocks - 1)[::-1]
+        again, held = estimator.rows_of(blocks), estimator.window.rows[at]
+        # The very first balance was made before there was an epoch to count drifts from.
+        np.testing.assert_allclose(again[1:], held[1:], rtol=1e-9, atol=1e-9)
+
+    monkeypatch.setattr(end_of_fault, 'course_of_frozen', course)
+    Run('paper', 'derived', ('stuck', 0.0), 1, duration)
+    assert asked
 
 
 def test_given_a_jump_that_hardly_was_an_end_then_bounds_hold_that_as_long_as_other_errors():

@@ -151,7 +151,8 @@ def end_of_fault(
     if frozen is not None:
         # Where it was frozen before, balances begin with a rate that was not measured.
         says = abs(jump) < LINEAR * scale and again == 0.0
-        course = course_of_frozen(estimator, joint, frozen, 0, blocks) if says else None
+        held = readings.balanced()  # balances are of whole intervals; a jump comes in between
+        course = course_of_frozen(estimator, joint, frozen, 0, held) if says else None
         gain, went, sigma = 0.0, 0.0, LINEAR * scale
         if course is not None:
             one = begin_frozen(joint, course, readings.acceleration(joint), scale)

@@ -10,7 +10,14 @@ from lpv.core.serial_arm.chain import FloatArray, IntArray
 from lpv.core.serial_arm.diagnosis.decision import reading_noise
 from lpv.core.serial_arm.diagnosis.estimator import OffsetEstimator
 from lpv.core.serial_arm.diagnosis.priors import ACCELERATIONS, SLOW_RATE
-from lpv.core.serial_arm.diagnosis.sampler import BEFORE_STOP, BLOCKS, ROUNDING, Sampler, block_end
+from lpv.core.serial_arm.diagnosis.sampler import (
+    BEFORE_STOP,
+    BLOCKS,
+    IN_INTERVAL,
+    ROUNDING,
+    Sampler,
+    block_end,
+)
 from lpv.core.serial_arm.diagnosis.stuck import at_rest, usual_acceleration
 
 
@@ -45,6 +52,12 @@ class Readings(NamedTuple):
     def all_blocks(self) -> FloatArray:
         """Those of the horizon, and of the interval before it."""
         return self.blocks(len(self.estimator) + 1)
+
+    def balanced(self) -> FloatArray:
+        """Those of the horizon in whole intervals, without the one that is not complete yet."""
+        blocks, per_interval = self.blocks(len(self.estimator) + 2), self.estimator.plan.blocks
+        whole = blocks[: len(blocks) - int(self.sampler.counters[IN_INTERVAL])]
+        return whole[len(whole) % per_interval :]
 
     def ended(self) -> float:
         """When the newest balance ended: younger samples wait to enter one [s]."""
