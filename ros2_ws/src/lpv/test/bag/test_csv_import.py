@@ -9,7 +9,14 @@ from places import BRINGUP
 
 from lpv.bag.rosbag import writing
 from lpv.bag.rosbag.reading import open_bag
-from lpv.bag.run.csv_import import ANGLE_UNITS, TIME_UNITS, CsvError, import_csv, load_column_map
+from lpv.bag.run.csv_import import (
+    ANGLE_UNITS,
+    TIME_UNITS,
+    UNITS,
+    CsvError,
+    import_csv,
+    load_column_map,
+)
 from lpv.core.support.errors import ConfigError
 from lpv.core.support.timestamps import to_nanoseconds
 
@@ -56,7 +63,7 @@ def stamps(messages):
     angle=st.sampled_from(sorted(ANGLE_UNITS)), names=st.permutations([*NAMES, 'extra']),
     delimiter=st.sampled_from(',;\t'), end=st.sampled_from(['\n', '\r\n', '\n\n']),
     outside=st.sampled_from([('', ''), ('\ufeff', '\n'), ('\ufeff', ''), ('', '\r\n')]),
-    without=st.sets(st.sampled_from(NAMES[3:])), slides=st.booleans(),
+    without=st.sets(st.sampled_from(NAMES[3:])), slides=st.sampled_from(['', 'm', 'mm']),
 )  # fmt: skip
 def test_given_any_recording_when_imported_then_every_number_is_where_it_belongs(
     convert, rows, start, unit, angle, names, delimiter, end, outside, without, slides
@@ -73,11 +80,11 @@ def test_given_any_recording_when_imported_then_every_number_is_where_it_belongs
     keep = 'keep: true' if start is None else f'start: {start}'
     columns = COLUMNS.replace('unit: s', f'unit: {unit}, {keep}') + f'angle_unit: {angle}\n'
     columns = re.sub(rf', \w+: ({"|".join(without)})\b' if without else '^$', '', columns)
-    columns = columns.replace('q2', 'q2, unit: m' if slides else 'q2')
+    columns = columns.replace('q2', f'q2, unit: {slides}' if slides else 'q2')
     text = outside[0] + end.join(lines) + outside[1]
     warnings, messages, _ = convert(text, columns, delimiter=delimiter)
     assert (warnings, stamps(messages)) == ([], [time + shift for time in times])
-    turns, slid = ANGLE_UNITS[angle], 1.0 if slides else ANGLE_UNITS[angle]
+    turns, slid = ANGLE_UNITS[angle], UNITS[slides or angle]
     factor = np.array([turns, slid, turns, slid, 1.0, 1.0])
     factor[[name in without for name in NAMES[1:]]] = NAN
     there = np.repeat([not without >= {*NAMES[k : k + 2]} for k in (1, 3, 5)], 2)
@@ -169,7 +176,7 @@ def test_given_a_map_when_loaded_then_the_shipped_one_fits_and_mistakes_are_name
         ('column: t, ', '', r'time\.column'),
         ('position: q2, ', '', r'joints\.elbow\.position'),
         ('effort: u1', 'torque: u1', r'joints\.shoulder\.torque'),
-        ('effort: u1', 'unit: mm', r'joints\.shoulder\.unit'),
+        ('effort: u1', 'unit: cm', r'joints\.shoulder\.unit'),
         ('{position: q2, velocity: w2, effort: u2}', 'q2', r'joints\.elbow'),
         ('time:', 'angle_unit: turns\ntime:', 'angle_unit'),
         ('time:', 'speed: 3\ntime:', 'speed'),

@@ -19,7 +19,7 @@ from lpv.core.support.timestamps import LAST_STAMP
 
 TIME_UNITS = {'s': 1_000_000_000, 'ms': 1_000_000, 'us': 1000, 'ns': 1}
 ANGLE_UNITS = {'rad': 1.0, 'deg': math.pi / 180.0}
-UNITS = {**ANGLE_UNITS, 'm': 1.0}
+UNITS = {**ANGLE_UNITS, 'm': 1.0, 'mm': 1e-3}
 
 
 class CsvError(LpvError):
