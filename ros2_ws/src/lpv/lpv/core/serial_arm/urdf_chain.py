@@ -226,7 +226,8 @@ def _joint(model: 'pinocchio.Model', index: int, urdf: Urdf, source: str) -> Ser
 
     name, refused = model.names[index], ''
     if name in urdf.mimics:
-        refused = f'follows {urdf.mimics[name].joint!r} (mimic)'
+        leader = urdf.mimics[name].joint
+        refused = f'follows {leader!r} (mimic), with which it can be held (--lock {leader})'
     elif urdf.kinds[name] not in ('revolute', 'continuous', 'prismatic'):
         refused = f'is {urdf.kinds[name]}, neither revolute nor prismatic'
     elif model.parents[index] != index - 1:

@@ -120,7 +120,7 @@ BRANCH = """<link name="camera"><inertial><mass value="0.7"/><inertia ixx="0.01"
   <limit lower="-1" upper="1" velocity="1" effort="5"/></joint></robot>"""
 B, MOUNT = '<joint name="b" type="revolute">', '</joint>\n<joint name="mount"'
 NO_ARM = {
-    "'b' follows 'a'": (MOUNT, f'<mimic joint="a"/>{MOUNT}'),
+    r"'b' follows 'a' .*held \(--lock a\)": (MOUNT, f'<mimic joint="a"/>{MOUNT}'),
     "'b': multiplier": (MOUNT, f'<mimic joint="a" offset="1e99"/>{MOUNT}'),
     "'b' is floating": (B, B.replace('revolute', 'floating')),
     "'b' is planar": (B, B.replace('revolute', 'planar')),
