@@ -20,6 +20,7 @@ from lpv.core.support.resources import bringup_file
 from lpv.identify.errors import IdentificationError
 from lpv.identify.estimation import assembly, payload
 from lpv.identify.estimation.assembly import with_joint_values
+from lpv.identify.estimation.autocorrelation import estimate_covariance
 from lpv.identify.estimation.gains import rescaled
 from lpv.identify.estimation.identification import identify
 from lpv.identify.estimation.mistakes import find_mistakes
@@ -321,6 +322,17 @@ def test_given_a_file_when_read_then_joints_are_found_or_named(tmp_path, recordi
 def cleaned(recording, **changes):
     one = replace(recording, **changes)
     return clean('test', [one.time], one.position, one.velocity, one.effort)
+
+
+def test_given_errors_that_sway_slowly_when_judged_then_variances_are_positive():
+    k = np.arange(1000.0)
+    rows = np.stack([np.sin(0.04 * np.pi * k), np.ones_like(k)], axis=1)[:, None]
+    residual = np.cos(2.0 * np.pi * k / 260.0)[:, None]
+    inverse = np.linalg.inv(rows[:, 0].T @ rows[:, 0])
+    counts = np.ones(residual.shape, bool)
+    covariance = estimate_covariance(rows, residual, inverse, [len(k)], counts)
+    values = np.linalg.eigvalsh(covariance)
+    assert values.min() > 0.0 and covariance[0, 0] == pytest.approx(inverse[0, 0], rel=0.5)
 
 
 @pytest.mark.parametrize('order', ['in turn', 'behind each other'])

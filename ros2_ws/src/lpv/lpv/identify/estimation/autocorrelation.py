@@ -20,7 +20,18 @@ def estimate_covariance(
 ) -> np.ndarray:
     """Covariance of an estimate whose error is inverse @ (score of the data + of the prior)."""
     gammas = _residual_autocovariances(rows, residual, inverse, lengths, counts)
-    return inverse @ (_score_covariance(rows, gammas, lengths) + known) @ inverse
+
+    def covariance_with(gammas: Sequence[np.ndarray]) -> np.ndarray:
+        return inverse @ (_score_covariance(rows, gammas, lengths) + known) @ inverse
+
+    covariance = covariance_with(gammas)
+    # Autocovariances that were cut off may be those of no process: there errors count as white.
+    negative = np.flatnonzero(np.diag(covariance) <= 0.0)
+    if len(negative):
+        white = np.diag(covariance_with([gamma[:1] for gamma in gammas]))
+        covariance[negative] = covariance[:, negative] = 0.0
+        covariance[negative, negative] = white[negative]
+    return covariance
 
 
 def _score_covariance(
