@@ -113,6 +113,15 @@ def test_given_many_noises_when_fitted_then_intervals_hold_the_truth(arm, simula
     assert 0.90 < np.mean(inside) < 0.99
 
 
+@pytest.mark.parametrize(('factor', 'told'), [(1.0, 0), (0.2, 1), (30.0, 1)])
+def test_given_efforts_in_another_unit_when_fitted_then_their_unit_is_doubted(
+    arm, recording, factor, told
+):
+    workshop = Workshop(arm, [replace(recording, effort=factor * recording.effort)])
+    workshop.check_scale(workshop.fit())
+    assert sum('another unit than N m' in text for text in workshop.warnings) == told
+
+
 def test_given_a_contact_parts_or_no_rates_when_fitted_then_all_counts(arm, recording, result):
     effort = recording.effort.copy()
     effort[400:430] += 60.0

@@ -29,11 +29,11 @@ def estimate_gains(rows: Sequence[Rows], bands: Bandwidths, prior: Prior) -> np.
     n = rows[0].effort.shape[1]
     start, seen = _start(rows, prior)
     gains, held = start, np.where(seen, _WIDTH, _HELD) ** -2
-    expected = _sizes(rows, prior.mean)
+    expected = link_sizes(rows, prior.mean)
     for _ in range(_ROUNDS):
         scaled = [replace(one, effort=one.effort * gains) for one in rows]
         fit = fit_parameters(scaled, bands, prior)
-        found = _sizes(rows, fit.parameters)
+        found = link_sizes(rows, fit.parameters)
         common = float(np.linalg.norm(expected) / max(float(np.linalg.norm(found)), 1e-12))
         problem = Problem(scaled, bands)
         design = problem.design(fit.slope, fit.parameters)
@@ -59,7 +59,7 @@ def _link_torques(rows: Sequence[Rows], parameters: np.ndarray) -> np.ndarray:
     return np.concatenate([predicted(one.base, parameters[:size])[one.part] for one in rows])
 
 
-def _sizes(rows: Sequence[Rows], parameters: np.ndarray) -> np.ndarray:
+def link_sizes(rows: Sequence[Rows], parameters: np.ndarray) -> np.ndarray:
     """RMS of the links' torques of each joint, shape (n,) [N m]."""
     return np.sqrt(np.mean(_link_torques(rows, parameters) ** 2, axis=0))
 

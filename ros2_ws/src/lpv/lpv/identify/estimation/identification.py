@@ -81,6 +81,7 @@ def identify(
         workshop.share = 1.0
         fit = workshop.fit(fit.prior)
         found = workshop.arm_of(fit)
+    workshop.check_scale(fit)
     report('measuring what is uncertain')
     determination = determine(workshop.base, fit, arm)
     sensing = sense(recordings, workshop.rate_delay, workshop.joint_delays)

@@ -15,7 +15,7 @@ from lpv.identify.estimation.assembly import (
 )
 from lpv.identify.estimation.delays import effort_delays, rate_delays
 from lpv.identify.estimation.evaluation import predict
-from lpv.identify.estimation.gains import estimate_gains
+from lpv.identify.estimation.gains import estimate_gains, link_sizes
 from lpv.identify.estimation.regression import Fit, Rows, fit_parameters
 from lpv.identify.estimation.robust import bounded_squares, predicted
 from lpv.identify.model.prior import HELD_LOAD, Prior, base_prior
@@ -41,6 +41,7 @@ _STRENGTHS = (1e-2, 1e-1, 1.0, 1e1, 1e2)  # of the prior, that are tried
 # Bandwidths of the effort sensor that are tried [Hz].
 _EFFORT_BANDS = (1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 7.0, 10.0, 15.0, 20.0, 30.0)
 _GAIN = 0.9  # ratio of mean squares below which the richer model is taken
+_FAR_OFF = 3.0  # ratio of torques that masses within 30 % do not have
 _NOTHING = 1e-5  # share of an effort's power that counts for nothing
 _EQUAL = 0.02  # difference of the logarithms of mean squares that counts for nothing
 _BETTER = 0.95  # ratio of mean squares below which the other rates are taken
@@ -209,11 +210,25 @@ class Workshop:
         few = np.sum(np.abs(effort) * counts, axis=0) < _PASSIVE * np.sum(acting * counts, axis=0)
         if passive := [name for name, is_few in zip(self.arm.joint_names, few) if is_few]:
             self.warnings.append(
-                f'{", ".join(passive)}: hardly driven, so all parameters might as well be smaller; '
-                'the masses given are kept'
+                f'{", ".join(passive)}: hardly driven, or with efforts in another unit, so all '
+                'parameters might as well be smaller; the masses given are kept'
             )
             return HELD
         return self.strength
+
+    def check_scale(self, fit: Fit) -> None:
+        """Warn of links that are not at all as heavy as those given."""
+        rows = self.train_rows()
+        given, found = (
+            float(np.linalg.norm(link_sizes(rows, values)))
+            for values in (fit.prior.mean, fit.parameters)
+        )
+        if not given / _FAR_OFF < found < given * _FAR_OFF:
+            self.warnings.append(
+                f'torques of the links are {found / given:.2g} times those of the masses given: '
+                f'are efforts in another unit than {self.arm.effort_unit} (--effort-unit, --gain), '
+                'or are the masses wrong?'
+            )
 
     def arm_of(self, fit: Fit) -> SerialArm:
         """The arm with the parameters of a fit, physically consistent."""
