@@ -16,7 +16,7 @@ def chosen_arm(arguments: argparse.Namespace) -> Any:
         refuse(arguments, ('joints', 'lock', 'tip'), 'is for joints of a URDF: give --urdf')
         return getattr(arguments, 'arm', None)
     locked = {}
-    for text in arguments.lock:
+    for text in ','.join(arguments.lock).split(',') if arguments.lock else ():
         name, _, value = text.partition('=')
         locked[name] = math.nan
         with contextlib.suppress(ValueError):

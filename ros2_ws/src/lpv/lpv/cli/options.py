@@ -7,7 +7,8 @@ from lpv.core.support.errors import ConfigError
 
 _JOINTS = """
 --joints JOINT+        joints of the arm, with spaces or commas; all others of the URDF are locked
---lock JOINT[=VALUE]*  hold a joint of the URDF, as a gripper's (at 0) [rad], [m]
+--lock JOINT[=VALUE]*  hold a joint of the URDF, as a gripper's (at 0), or several with commas
+                       [rad], [m]
 --tip LINK             last link of the arm: its joints are those on the way to it
 """
 _ARM = """
@@ -162,9 +163,9 @@ csv                    file with a header line and one sample a line
 bag                rosbag2 directory, MCAP or sqlite3 file
 --out=out/replay   bag to write; an earlier result of this command is replaced
 --report FOLDER    folder for a report of the new bag
---inject FAULTS    YAML file whose list of faults is added to the measurements, or scenario: shows
-                   what would be found; onsets, and all times that are printed, count from the
-                   first measurement that is replayed, which is that after --from
+--inject FAULTS    YAML file with a list "faults" that is added to the measurements, or scenario:
+                   shows what would be found; onsets, and all times that are printed, count from
+                   the first measurement that is replayed, which is that after --from
 --estimates-only   write estimates, alarms and diagnostics alone; otherwise all topics are copied
 --preset {_PRESETS}  compression of the new bag
 --publish          play the bag into the live graph, with /clock, and run nothing offline; needs

@@ -298,7 +298,8 @@ def jointed(parent, link, x=0, kind='fixed'):
 
 
 GRIPPER = (DATA / 'gripper.urdf').read_text()
-HOLDS = ['--lock left_finger=0.02 --lock right_finger', '--joints shoulder,elbow,wrist',
+HOLDS = ['--lock left_finger=0.02 --lock right_finger',
+         '--lock left_finger=0.02,right_finger', '--joints shoulder,elbow,wrist',
          '--joints shoulder elbow wrist', '--tip tool']  # fmt: skip
 HELD = HOLDS[-1].split()
 
