@@ -46,12 +46,13 @@ from lpv.core.serial_arm.diagnosis.decision import decide
 from lpv.core.serial_arm.diagnosis.healthy_set import Guarantee
 from lpv.core.serial_arm.diagnosis.information import ROBUST
 from lpv.core.serial_arm.diagnosis.monitor import LONGEST_STEP
+from lpv.core.serial_arm.diagnosis.sampler import LATE
 from lpv.core.serial_arm.sensor_map import map_rows, mixing
 from lpv.core.serial_arm.turns import Turns
 from lpv.core.support.errors import SampleError
 from lpv.core.support.jit import Entries, compile_ahead
 from lpv.core.support.limits import LARGEST, MAX_GAP, PATIENCE, SMALL, STALE_AFTER
-from lpv.core.support.timestamps import NANOSECONDS, NEVER
+from lpv.core.support.timestamps import LAST_STAMP, NANOSECONDS, NEVER
 from lpv.core.uio.certificate.gains import Gains
 from lpv.core.uio.unknown_input_observer import CHOICES, UnknownInputObserver, uio_answers
 
@@ -81,6 +82,12 @@ _LOST = (
     'a second'
 )
 _UNUSED = 'many measurements cannot be used; of {} within a second: {}'
+_PERIOD = (
+    'measurements come at another rate than the arm file says; one in {:.3g} s, sample_time is '
+    '{:.3g} s: correct it, bounds depend on it'
+)
+_SURE = 3
+"""Reports in a row until that is said: samples that are lost, or come unevenly, are no rate."""
 _UNITS = 'readings are in another unit, or of another arm; {}'
 _NO_EFFORT = f'no efforts: {_JUMPS_ALONE}'
 _SOME_EFFORTS = 'no efforts of {}: offsets and drifts show in those of other joints alone'
@@ -220,6 +227,9 @@ class SerialSensorMonitor:
         self._used = 0  # samples that were
         self._before = NEVER, 0, 0, replace(self.counters)  # as of `_note_losses`, one time before
         self._losses = ''
+        self._other_period = 0  # reports in a row
+        # The shortest and the longest time between samples since the last one [ns].
+        self._steps, self._stepped = (LAST_STAMP, 0), NEVER
         self._alarms = AlarmConverter(self.arm)
         self._missing_since = np.full(self._joints, NEVER)  # readings, stamps [ns]
         self._is_missing = False
@@ -572,7 +582,20 @@ class SerialSensorMonitor:
         missing = np.isnan(answers.samples[self._counted : until, 2])
         if missing.any():
             self.counters.without_effort += int(missing.any(axis=1).sum())
+        self._note_steps(answers.stamps[self._counted : until])
         self._counted = until
+
+    def _note_steps(self, stamps: IntArray) -> None:
+        """Note the shortest and the longest time between samples that were used."""
+        if len(stamps) == 0:
+            return
+        steps = [int(stamps[0]) - self._stepped] if self._stepped != NEVER else []
+        if len(stamps) > 1:
+            between = np.diff(stamps)
+            steps += [int(between.min()), int(between.max())]
+        self._stepped = int(stamps[-1])
+        shortest, longest = self._steps
+        self._steps = min([shortest, *steps]), max([longest, *steps])
 
     def _report_due(self, answers: Answers, first: int, until: int) -> None:
         """Diagnostics reports of samples between two decisions."""
@@ -612,13 +635,25 @@ class SerialSensorMonitor:
         self._note_losses(int(answers.stamps[row]))
         answer = answers.plain[row]
         state, fault = answer['state'], answer['fault'] if answer['has_fault'] else None
-        note = self._remark(state)
-        said = note if state['mode'] < Mode.STALE else unusable_text(self.counters)
-        answers.reports.append((row, self._status(state, fault, said)))
-        subject = note.partition(';')[0]
-        if note and subject not in self._warned:  # whatever its details
-            answers.warnings.append((row, note))
-        self._warned.add(subject)
+        note, other = self._remark(state), self._period_text()
+        notes = [text for text in (note, other if note != _TOO_RARE else '') if text]
+        said = notes[:1] if state['mode'] < Mode.STALE else [unusable_text(self.counters)]
+        answers.reports.append((row, self._status(state, fault, *(said or ['']))))
+        for note in notes:
+            subject = note.partition(';')[0]
+            if subject not in self._warned:  # whatever its details
+                answers.warnings.append((row, note))
+            self._warned.add(subject)
+
+    def _period_text(self) -> str:
+        """That samples come more or less often than the arm file says; empty if they do not."""
+        stated = self.arm.sample_time
+        shortest, longest = (step / NANOSECONDS for step in self._steps)
+        self._steps = LAST_STAMP, 0
+        is_other = shortest > LATE * stated or longest < stated / LATE
+        is_other &= longest > 0.0 and not self._losses
+        self._other_period = self._other_period + 1 if is_other else 0
+        return _PERIOD.format(shortest, stated) if self._other_period >= _SURE else ''
 
     def stale_fault(self) -> np.record | None:
         """The last ``fault`` of an answer, if there is one, marked as such."""

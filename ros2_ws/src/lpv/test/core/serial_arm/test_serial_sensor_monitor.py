@@ -64,9 +64,12 @@ def message(names=ARM.joint_names, **fields):
     return SimpleNamespace(name=list(names), **values)
 
 
+OTHER_RATE = 'measurements come at another rate than the arm file says; one in 0.0'
+
+
 @pytest.mark.parametrize(('kept', 'said'), [
     (lambda k: k % 12 == 0, ['measurements are more than ten sample times']),
-    (lambda k: k % 8 == 0, []),
+    (lambda k: k % 8 == 0, [OTHER_RATE]),
     # As of a bag that is played faster than a machine can follow.
     (lambda k: (k % 500 < 250) | (k % 13 < 2), ['measurements are lost']),
     (lambda k: k % 400 < 380, []),  # now and then, as of any network
@@ -249,6 +252,19 @@ def test_given_a_joint_without_efforts_then_faults_are_found(rates, joint, span,
     assert messages[-1].startswith(said) == (end > 3000)
     (warned,) = (text for _, text in answers.warnings if text.startswith('no efforts'))
     assert warned.startswith(said)
+
+
+@pytest.mark.parametrize(('ratio', 'lost', 'told'), [
+    (1.0, 0.0, 0), (1.0, 0.6, 0), (4.0, 0.0, 1), (0.25, 0.0, 1),
+])  # fmt: skip
+def test_given_a_file_of_another_sample_time_when_observed_then_it_is_said_once(ratio, lost, told):
+    run, arm = simulated(ARM, duration=12.0), replace(ARM, sample_time=ARM.sample_time / ratio)
+    kept = np.random.default_rng(1).random(len(run.stamps)) >= lost
+    monitor = SerialSensorMonitor('/uio', arm)
+    _, answers = observe(run.stamps[kept] + 5, run.samples[kept], monitor)
+    said = [text for _, text in answers.warnings if 'at another rate' in text]
+    assert len(said) == told
+    assert all(f'sample_time is {arm.sample_time:.3g} s' in text for text in said)
 
 
 @pytest.mark.parametrize('missing', [0, slice(None)])
