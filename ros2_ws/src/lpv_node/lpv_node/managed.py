@@ -8,11 +8,11 @@ from contextlib import contextmanager
 from typing import Any
 
 import rclpy
-from rclpy._rclpy_pybind11 import RCLError
 from rclpy.clock import Clock, ClockType, ROSClock
 from rclpy.duration import Duration
 from rclpy.exceptions import ParameterException
 from rclpy.executors import Executor, SingleThreadedExecutor
+from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
@@ -27,6 +27,7 @@ from lpv.core.support.signals import StopRequest
 from lpv_node.arguments import initialise, refused
 from lpv_node.parameters import CheckedParameterService, declare, table
 
+_RCLError = rclpy_implementation.RCLError
 VIEWER = 'view'
 """Name of the live view's node: the graph does not wait for it, nor start because of it."""
 
@@ -276,7 +277,7 @@ def run_node(node_class: Callable[[], ManagedNode]) -> int:
         initialise()
         try:
             node = node_class()
-        except RCLError as error:  # of a name or namespace that nodes cannot have
+        except _RCLError as error:  # of a name or namespace that nodes cannot have
             raise refused(error) from error
         code = _spin(node, stop)
     except (KeyboardInterrupt, SystemExit):  # told to stop while it started

@@ -1,5 +1,7 @@
 import os
 import socket
+import subprocess
+import sys
 
 import pytest
 import rclpy
@@ -121,3 +123,14 @@ def test_given_sockets_when_enlarged_then_they_hold_more_and_stay_open():
         assert os.listdir('/proc/self/fd') == opened
         after = [s.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF) for s in (one, other)]
     assert after[0] > before[0] and after[1] == before[1]
+
+
+def test_given_an_rclpy_with_other_modules_when_nodes_are_imported_then_none_misses_its_own():
+    """As of distributions after Kilted: some of what it has is elsewhere, or named otherwise."""
+    moved = 'rclpy.topic_endpoint_info', 'rclpy._rclpy_pybind11', 'rclpy.experimental'
+    nodes = 'lpv_arm_sim', 'lpv_node.recorder', 'lpv_node.view', 'lpv_tracker', 'lpv_uio'
+    code = 'import sys, rclpy, rclpy.lifecycle, rclpy.parameter_service, rclpy.executors\n'
+    code += f'sys.modules.update(dict.fromkeys({moved}))\n'
+    code += ''.join(f'import {name}.node\n' for name in nodes)
+    code += 'from lpv_node.managed import make_executor\nrclpy.init()\nmake_executor()\n'
+    subprocess.run([sys.executable, '-c', code], check=True)

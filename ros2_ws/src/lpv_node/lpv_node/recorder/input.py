@@ -10,18 +10,20 @@ import socket
 import stat
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import rclpy
 from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 from rclpy.subscription import MessageInfo
-from rclpy.topic_endpoint_info import TopicEndpointInfo
 from rosbags.interfaces import Qos
 
 from lpv.bag.rosbag.live import DEEPEST, message_class, ros_qos
 from lpv.bag.rosbag.mcap_file import error_text
 from lpv.bag.rosbag.metadata import qos_profile
 from lpv.core.support.timestamps import leading_stamp
+
+if TYPE_CHECKING:  # later distributions have it elsewhere
+    from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 MOST = 2000
 """Messages taken from one topic before the others have their turn."""
