@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.linalg import qr
 
 from lpv.bag.rosbag.writing import BagWriter
 from lpv.core.serial_arm.description import N_INERTIAL, SerialArm
@@ -12,7 +13,12 @@ from lpv.core.serial_arm.dynamics.kinematics import joint_frames
 from lpv.core.support.config import write_yaml
 from lpv.identify.errors import IdentificationError
 from lpv.identify.model.friction import SLOPE, friction_columns, join_columns
-from lpv.identify.model.rigid_body import RigidBody, find_base_parameters, joint_torques
+from lpv.identify.model.rigid_body import (
+    RigidBody,
+    find_base_parameters,
+    independent,
+    joint_torques,
+)
 
 HARMONICS = 5
 """Of a joint's Fourier series, as in Swevers et al. (1997)."""
@@ -149,6 +155,13 @@ class _Search:
         self.reach = np.minimum(bounds.range_share * room, bounds.reach)
         self.speed = bounds.speed_share * np.array([min(limit.velocity, 10.0) for limit in limits])
         self._torque = bounds.torque_share * np.array([limit.torque for limit in limits])
+        # What no motion tells apart, as a constant weight and an offset of friction, is no reason
+        # to prefer one.
+        self._told: Any = slice(None)
+        some = random_trajectory(
+            np.random.default_rng(0), self.center, self.reach, self.speed, 10.0
+        )
+        self._told = independent(qr(self._regressor(some), mode='r')[0])
 
     def varied(self, rng: np.random.Generator, trajectory: Trajectory, width: float) -> Trajectory:
         size = width * self.reach / np.arange(1, len(trajectory.sine) + 1)[:, None]
@@ -201,7 +214,7 @@ class _Search:
         friction = friction_columns(v, np.full(self._model.n, SLOPE), torque)[:, :, [0, 1, 3]]
         rows = join_columns(full[:, :, self._base.columns], friction)
         size = np.maximum(np.max(np.abs(torque), axis=0), 0.02 * np.abs(torque).max())
-        return (rows / size[:, None]).reshape(-1, rows.shape[2])
+        return (rows / size[:, None]).reshape(-1, rows.shape[2])[:, self._told]
 
     def information(self, trajectory: Trajectory) -> float:
         rows = self._regressor(trajectory)

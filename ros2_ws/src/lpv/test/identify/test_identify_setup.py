@@ -105,6 +105,13 @@ def test_given_much_viscous_friction_when_planned_then_a_slower_motion_counts_as
     assert np.all(largest <= 1.001 * plan.torque) and np.all(plan.torque <= largest + 60.0)
 
 
+def test_given_a_lift_of_constant_weight_when_planned_then_offsets_of_friction_do_not_decide(arm):
+    limits = JointLimits(0.0, 0.5, 1.0, 1e3)
+    lift = with_joints(arm, 0, type='prismatic', axis=(0.0, 0.0, 1.0), limits=limits)
+    lift = with_joints(lift, 0, position=(0.0, 0.0, 0.0), orientation=(0.0, 0.0, 0.0))
+    assert plan_excitation(lift, 12.0, trials=3).condition < 1e4
+
+
 def test_given_a_floor_when_planned_then_the_tip_stays_above_or_it_is_said_that_none_does(arm):
     center, chain = np.array([0.0, -0.6, 0.3]), compile_chain(arm)
     plan = plan_excitation(arm, 12.0, Bounds(lowest=0.05), center=center, trials=20)

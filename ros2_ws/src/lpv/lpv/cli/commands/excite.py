@@ -32,7 +32,7 @@ def run(arguments: argparse.Namespace) -> int:
     information = f'log information per parameter {plan.information:.2f}'
     print(f'condition number {plan.condition:.0f}, {information}')
     for joint, torque in zip(arm.joints, plan.torque):
-        print(f'  {joint.name}: largest torque {torque:.1f} {joint.units[1]}')
+        print(f'  {joint.name}: largest torque {torque:.3g} {joint.units[1]}')
     print(*files, sep='\n')
     places = zip(plan.trajectory.center, arm.position_units)
     start = ', '.join(f'{place:.3f} {unit}' for place, unit in places)

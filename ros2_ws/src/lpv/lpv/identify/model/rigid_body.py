@@ -89,14 +89,14 @@ def find_base_parameters(model: RigidBody) -> BaseParameters:
     # Rotors last, so that they stand for themselves only where links do not explain them.
     links = N_INERTIAL * n
     order = np.concatenate([np.arange(links)[::-1], np.arange(links, STANDARD * n)])
-    columns = np.sort(order[_independent(qr(regressor[:, order], mode='r')[0])])
+    columns = np.sort(order[independent(qr(regressor[:, order], mode='r')[0])])
     orthogonal, triangle = np.linalg.qr(regressor[:, columns])
     combination = solve_triangular(triangle, orthogonal.T @ regressor)
     combination[np.abs(combination) < 1e-9] = 0.0
     return BaseParameters(columns, combination)
 
 
-def _independent(upper: np.ndarray) -> list[int]:
+def independent(upper: np.ndarray) -> list[int]:
     """Columns of an upper triangular matrix that do not depend on those before them."""
     kept: list[int] = []
     upper = upper[: upper.shape[1]]
