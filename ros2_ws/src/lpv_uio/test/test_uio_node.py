@@ -324,13 +324,17 @@ def test_given_stamps_that_fit_no_stream_then_it_is_said_why(monkeypatch, tmp_pa
         logger = SimpleNamespace(warning=said.append, info=print, error=print)
         monkeypatch.setattr(node, 'get_logger', lambda: logger)
         monkeypatch.setattr(node, 'elapsed', lambda: now)
-        arm = Arm(node)
+        take, arm = node._on_measurement, Arm(node)
+
+        def hear(message):
+            entries.append((TOPIC, now, serialize_message(message)))
+            take(message)
+
+        monkeypatch.setattr(node, '_on_measurement', hear)
         arm.stamp = 3000 * 10**9
         for _ in range(600):
             arm.stamp += step - STEP  # `good` adds one
-            message = arm.good()
-            node._on_measurement(message)
-            entries.append((TOPIC, now, serialize_message(message)))
+            node._on_measurement(arm.good())
             now += interval
             if now % 10**8 == 0:
                 node._check_silence()
@@ -341,15 +345,15 @@ def test_given_stamps_that_fit_no_stream_then_it_is_said_why(monkeypatch, tmp_pa
         assert 'measurements whose stamp fits no stream' in text
         stale = [text for text in said if text.startswith('diagnosis is stale: ')]
         assert len(stale) == 1 and UNUSABLE in stale[0]
+        # A driver whose stamps are those of a stream is observed again.
+        assert arm.recover() <= RECOVERY and not node._stale
         bag = write_bag(tmp_path / 'bag', entries, {TOPIC: JOINT_STATE})
         monitor = serial_monitor.SerialSensorMonitor('/lpv/uio', node._arm)
         Replay(monitor, estimates_only=True).run(bag, tmp_path / 'out')
         messages = [m for topic, _, m in contents(tmp_path / 'out')[0] if topic == '/diagnostics']
         replayed = [deserialize_message(one, DiagnosticArray).status[0] for one in messages]
         told, again = ([(s.level, s.message.split(':')[0]) for s in x] for x in (found, replayed))
-        assert told == again and len(told) > 1
-        # A driver whose stamps are those of a stream is observed again.
-        assert arm.recover() <= RECOVERY and not node._stale
+        assert told == again[: len(told)] and len(told) > 1
 
 
 def test_given_gaps_when_observed_then_the_python_api_answers_the_same():

@@ -441,6 +441,10 @@ def test_given_topics_when_replayed_then_the_right_one_or_nothing_is_left(loop, 
     others = write(tmp_path / 'others', measured(loop[:50], name=['left', 'right']))
     (topic, _, first), *_ = measured(loop[:1])
     stopped = write(tmp_path / 'stopped', [(topic, k, first) for k in range(1, 9)])
+    in_ms = write(tmp_path / 'in_ms', [
+        (topic, time, MESSAGES.joint_state(1000 * time, m.name, m.position, m.velocity, m.effort))
+        for topic, time, m in measured(loop[:50])
+    ])  # fmt: skip
     for source, options, told in (
         (nothing, {}, r'JointState; it has /chatter \(std_msgs/msg/String\)'),
         (two_arms, {}, 'carry the joints .*: /a/joint_states, /b/joint_states'),
@@ -450,6 +454,7 @@ def test_given_topics_when_replayed_then_the_right_one_or_nothing_is_left(loop, 
         (damaged, {}, 'damaged: cannot be read'),
         (others, {}, 'others: none of its 50 measurements can be used .*of other joints: .*left'),
         (stopped, {}, 'stopped: no measurement on .* is newer than the first one'),
+        (in_ms, {}, 'in_ms: no measurement can be used: 49 measurements whose stamp fits no'),
     ):
         pytest.raises(BagError, replay, source, **options).match(told)
         assert not (tmp_path / 'out').exists()

@@ -124,7 +124,8 @@ class Replay:
                 f'{bag}: no measurement on {result.topic} is newer than the first one: let the '
                 'driver stamp them with the time of measurement'
             )
-        if 0 < fitting <= sum(getattr(counters, name) for name in UNUSED):
+        unused = sum(getattr(counters, name) for name in UNUSED)
+        if fitting - unused <= 1 <= unused:  # the first of a stream fits any
             raise BagError(f'{bag}: {unusable_text(counters)}')
 
     def _begin(self, reader: BagReader) -> tuple[ReplayResult, Connection | None]:
