@@ -521,6 +521,8 @@ def test_given_a_file_of_faults_when_run_then_they_are_added(loop, tmp_path, cal
     faults.write_text('faults:\n  - {sensor: link2_angle, kind: bias, onset: 0.5, size: -0.3}\n')
     said = call(*line(source, tmp_path / 'result', inject=faults)).out
     assert 'ALARM, link2_angle: error -0.' in said and 'size error' in said
+    span = (part[-1][0] - part[0][0]) / NANOSECONDS
+    assert f'{len(part)} measurements of {span:.4g} s, ' in said
     assert '1 of 1 injected faults found on the right sensor' in said
     assert re.search(r'link2_angle, bias from 0.500 s on: found after 0.\d+ s as \w+, -0.\d+', said)
     # Of a part of the bag onsets count from its beginning.

@@ -62,8 +62,10 @@ def run(arguments: argparse.Namespace) -> int:
         result = replay.run(arguments.bag, new)
         if gains is not None:
             gains.save(new / GAINS_NAME, 'Gains that this bag was replayed with.')
-    counts = f'{result.measurements} measurements, {len(result.events)} alarm events'
-    console.print(f'{counts}, {time.perf_counter() - begin:.2f} s')
+    span = ((result.last_stamp or 0) - (result.first_stamp or 0)) / NANOSECONDS
+    counts = f'{result.measurements} measurements of {span:.4g} s'
+    counts += f', {len(result.events)} alarm events'
+    console.print(f'{counts}; replayed in {time.perf_counter() - begin:.2f} s')
     for text in count_texts(monitor.counters):
         console.print(f'  {text}')
     for text, count in result.rejected.items():
