@@ -68,9 +68,9 @@ _WARM_UP = 0.3
 CONTACT = 'torques from outside: something pushes or holds the arm, or its load has changed'
 _JUMPS_ALONE = 'jumps of readings are found, offsets and drifts are not diagnosable'
 MISFIT = (
-    'motion and efforts do not fit the arm file, whatever sensor is blamed; lpv doctor (or lpv '
-    'identify --calibrate, from a recording) names the likely cause: load, mounting, units, signs, '
-    'names or delays'
+    'motion and efforts do not fit the arm file, whatever sensor is blamed; unless brakes held it '
+    'for long, lpv doctor (or lpv identify --calibrate, from a recording) names the likely cause: '
+    'load, mounting, units, signs, names or delays'
 )
 _MISNAMED = (
     'rates of {} are derived from the readings, and are taken for such; the arm file calls them '
