@@ -181,10 +181,10 @@ class Replay:
         result.answered += int(answers.answered.sum())
         if result.first_stamp is None and len(stamp):
             result.first_stamp = int(stamp[0])
-        for row, status in answers.reports:
+        for row, report in answers.due:
             # Of the messages without use, as a node that hears them one by one.
-            before = np.searchsorted(batch.rejected, batch.measured.places[row])
-            status[0]['values']['rejected messages'] = str(self._monitor.rejected + before)
+            before = batch.rejected.searchsorted(batch.measured.places[row])
+            report.rejected += int(before)
         self._monitor.rejected += len(batch.rejected)
         if len(stamp):
             result.last_stamp = int(stamp[-1])

@@ -5,6 +5,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from lpv.core.monitoring.compensation import answer_rows
+from lpv.core.monitoring.message_fields import Report
 from lpv.core.serial_arm.diagnosis.alarms import Alarm
 from lpv.core.support.records import record_type
 
@@ -74,9 +75,9 @@ class Answers:
         For compiled functions.
     stamps, samples : ndarray, shapes (n,), (n, 3, joints)
         Of the measurements.
-    events, reports, warnings : list of tuple
-        Row and alarm event; row and diagnostic_msgs/DiagnosticArray's statuses of each report that
-        is due; row and text of what contradicts the arm file and was not said before.
+    events, due, warnings : list of tuple
+        Row and alarm event; row and report that is due; row and text of what contradicts the arm
+        file and was not said before.
     """
 
     def __init__(self, kind: np.dtype, count: int) -> None:
@@ -91,8 +92,13 @@ class Answers:
         self.stamps = np.empty(count, np.int64)
         self.samples = np.empty((count, 3, self.rows.position.shape[1]))
         self.events: list[tuple[int, Alarm]] = []
-        self.reports: list[tuple[int, list[dict[str, Any]]]] = []
+        self.due: list[tuple[int, Report]] = []
         self.warnings: list[tuple[int, str]] = []
+
+    @property
+    def reports(self) -> list[tuple[int, list[dict[str, Any]]]]:
+        """Row and diagnostic_msgs/DiagnosticArray's statuses of each report, made anew."""
+        return [(row, report.statuses()) for row, report in self.due]
 
     def record(self, row: int) -> np.ndarray:
         """A copy of one answer, shape (1,), in a fifth of the time that a copy of fields takes."""

@@ -3,7 +3,7 @@
 Neither ROS nor a bag library is needed here; headers are left out.
 """
 
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -44,6 +44,44 @@ def alarm_fields(alarm: Alarm) -> dict[str, Any]:
     fields = {**asdict(alarm), 'event': int(alarm.event)}
     del fields['basis'], fields['unit'], fields['rate']
     return fields
+
+
+@dataclass
+class Report:
+    """A diagnostics report, whose statuses are made where somebody wants them.
+
+    What it holds stays as it was when the report was due.
+    """
+
+    name: str  # of the node, fully qualified
+    arm: SerialArm
+    state: np.void  # of an answer
+    fault: np.void | None  # of the answer, if it has an estimate
+    note: str
+    counters: dict[str, int]
+    rejected: int  # messages that did not fit the arm
+    method: str
+    sigmas: float  # standard deviations of bounds
+    largest: float  # fault that a guarantee has to show, in the unit of `SerialJoint.scale`
+    is_guaranteed: bool  # whether anything is
+    guarantee: Guarantee | None
+
+    def statuses(self) -> list[dict[str, Any]]:
+        """The ``status`` list of diagnostic_msgs/DiagnosticArray."""
+        values = {
+            **self.counters,
+            'rejected messages': self.rejected,
+            'method': self.method,
+            'bounds': f'statistical, {self.sigmas:g} standard deviations',
+            'guarantee': guarantee_text(self.arm, self.is_guaranteed),
+        }
+        details: tuple[dict[str, str], ...] = ()
+        if self.guarantee is not None:
+            values['guaranteed payload [kg]'] = '{:.3f} to {:.3f}'.format(*self.guarantee.payload)
+            details = guaranteed_fields(self.arm, self.guarantee, self.largest)
+        return diagnostic_fields(
+            self.name, self.arm, self.state, self.fault, values, self.note, details
+        )
 
 
 def diagnostic_fields(

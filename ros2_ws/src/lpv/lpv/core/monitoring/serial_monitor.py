@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 
 from lpv.core.control.watchdog import LONGEST_UNUSABLE
-from lpv.core.monitoring import message_fields
 from lpv.core.monitoring.alarm_text import (
     UNUSED,
     SampleCounters,
@@ -26,6 +25,7 @@ from lpv.core.monitoring.answers import Answer, Answers, answer_type
 from lpv.core.monitoring.compensation import AnswerRows
 from lpv.core.monitoring.idle_efforts import IdleSignal
 from lpv.core.monitoring.joint_order import JointOrder
+from lpv.core.monitoring.message_fields import Report
 from lpv.core.monitoring.parameters import DiagnosisParameters
 from lpv.core.monitoring.plausibility import (
     Driver,
@@ -290,7 +290,7 @@ class SerialSensorMonitor:
         one = self._one
         one.bytes.fill(0)
         one.stamps[0] = stamp
-        for found in (one.events, one.reports, one.warnings):
+        for found in (one.events, one.due, one.warnings):
             found.clear()
         self._take(one, *measured[:, None])
         if not one.rows.answered[0]:
@@ -298,7 +298,7 @@ class SerialSensorMonitor:
         return Answer(
             stamp,
             one.record(0)[0],
-            one.reports[0][1] if one.reports else None,
+            one.due[0][1].statuses() if one.due else None,
             [event for _, event in one.events],
             [text for _, text in one.warnings],
         )
@@ -388,7 +388,7 @@ class SerialSensorMonitor:
         elif now > self._patience:
             self._patience = now + _REPEATED_AFTER
             note = unusable_text(self.counters)
-            answers.reports.append((row, self.status(Mode.STALE, note)))
+            answers.due.append((row, self._report_of(Mode.STALE, note)))
 
     def _regular(self, answers: Answers, begin: int) -> int:
         """Number of samples from ``begin`` on that can be used as they are, after the last one."""
@@ -638,7 +638,7 @@ class SerialSensorMonitor:
         note, other = self._remark(state), self._period_text()
         notes = [text for text in (note, other if note != _TOO_RARE else '') if text]
         said = notes[:1] if state['mode'] < Mode.STALE else [unusable_text(self.counters)]
-        answers.reports.append((row, self._status(state, fault, *(said or ['']))))
+        answers.due.append((row, self._make_report(state, fault, *(said or ['']))))
         for note in notes:
             subject = note.partition(';')[0]
             if subject not in self._warned:  # whatever its details
@@ -665,6 +665,10 @@ class SerialSensorMonitor:
 
     def status(self, mode: Mode, note: str | None = None) -> list[dict[str, Any]]:
         """Statuses for /diagnostics; of the last answer, with a mode and, if given, a note."""
+        return self._report_of(mode, note).statuses()
+
+    def _report_of(self, mode: Mode, note: str | None) -> Report:
+        """Report of the last answer, with a mode and, if given, a note."""
         last = self._last.copy()
         last.state.mode = mode
         if mode == Mode.STALE:
@@ -672,25 +676,15 @@ class SerialSensorMonitor:
         state, fault = last.state[0], last.fault[0] if last.has_fault[0] else None
         if note is None:
             note = self._remark(state) if mode < Mode.STALE else unusable_text(self.counters)
-        return self._status(state, fault, note)
+        return self._make_report(state, fault, note)
 
-    def _status(self, state: np.void, fault: np.void | None, note: str) -> list[dict[str, Any]]:
-        values = {
-            **vars(self.counters),
-            'rejected messages': self.rejected,
-            'method': self.method,
-            'bounds': f'statistical, {self._monitor.settings.sigmas:g} standard deviations',
-            'guarantee': message_fields.guarantee_text(self.arm, self._monitor.healthy is not None),
-        }
-        known = self._monitor.guarantee
-        details: tuple[dict[str, str], ...] = ()
-        if known is not None:
-            values['guaranteed payload [kg]'] = '{:.3f} to {:.3f}'.format(*known.payload)
-            largest = self._monitor.settings.safe_stop_bound
-            details = message_fields.guaranteed_fields(self.arm, known, largest)
-        return message_fields.diagnostic_fields(
-            self.name, self.arm, state, fault, values, note, details
-        )
+    def _make_report(self, state: np.void, fault: np.void | None, note: str) -> Report:
+        monitor = self._monitor
+        return Report(
+            self.name, self.arm, state, fault, note, dict(vars(self.counters)), self.rejected,
+            self.method, monitor.settings.sigmas, monitor.settings.safe_stop_bound,
+            monitor.healthy is not None, monitor.guarantee,
+        )  # fmt: skip
 
     def _remark(self, state: np.void) -> str:
         """What else is to be said of the diagnosis as a whole, with an answer's ``state``."""

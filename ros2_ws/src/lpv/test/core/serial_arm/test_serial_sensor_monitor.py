@@ -5,6 +5,7 @@ import sys
 from dataclasses import replace
 from functools import cache
 from types import SimpleNamespace
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from scipy.signal import lfilter
 from serial_arms import shoulder_arm, simulated, without
 
 from lpv import ConfigError, DiagnosisParameters, Fault, SampleError, load_arm
+from lpv.core.monitoring import message_fields
 from lpv.core.monitoring.alarm_text import UNUSABLE
 from lpv.core.monitoring.message_fields import ERROR, diagnostic_fields
 from lpv.core.monitoring.serial_monitor import _MISNAMED, SerialSensorMonitor
@@ -113,6 +115,21 @@ def test_given_balances_that_stay_away_then_no_fault_is_confirmed_and_a_reset_en
     _, answers = observe(stamps[-1] + 10 + stamps, samples, monitor)
     assert answers.warnings == [] and len(answers.reports) > 2
     assert not any('ten sample times' in str(statuses) for _, statuses in answers.reports)
+
+
+def test_given_reports_when_the_monitor_goes_on_then_they_say_what_was_and_only_if_asked(
+    monkeypatch,
+):
+    stamps, samples, _ = simulated(ARM, duration=4.0)
+    monitor, answers = observe(stamps, samples)
+    said = answers.reports
+    monitor.rejected += 1
+    observe(stamps + stamps[-1], np.full_like(samples, np.nan), monitor)
+    assert len(said) > 2 and answers.reports == said
+    monkeypatch.setattr(message_fields, 'diagnostic_fields', Mock(side_effect=ValueError))
+    _, answers = observe(stamps, samples)  # no text is made that nobody reads
+    with pytest.raises(ValueError):
+        answers.reports  # noqa: B018
 
 
 def test_given_samples_that_are_lost_repeated_or_no_numbers_then_each_is_counted():
