@@ -230,7 +230,14 @@ def test_given_chunks_that_overlap_when_read_then_times_are_sorted(tmp_path, mon
 def test_given_bytes_that_are_no_records_when_split_then_it_is_damage():
     good, short = (b'\x05' + bytes([size]) + bytes(29) for size in (22, 21))
     assert len(message_blocks.split(good)[0]) == 1
-    for bad in (good[:-1], good[:5], good + good[:20], short[:-1]):
+    head = good[:9] + b'\x39\x30' + bytes(4)  # channel 12345
+    latest, beyond = (
+        head + time.to_bytes(8, 'little') + bytes(8) for time in (2**63 - 2, 2**63 - 1)
+    )
+    block = message_blocks.split(good + latest)[0]
+    assert block.connection.tolist() == [0, 12345] and block.time.tolist() == [0, 2**63 - 2]
+    assert block.start.tolist() == [31, 62] and block.size.tolist() == [0, 0]
+    for bad in (good[:-1], good[:5], good + good[:20], short[:-1], beyond):
         pytest.raises(DamageError, message_blocks.split, bad)
 
 

@@ -17,7 +17,8 @@ BLOCK_SIZE = 2 << 20
 RECORD = np.dtype('u1,<u8,<u2,<u4,<u8,<u8')
 RECORD.names = ('kind', 'length', 'channel', 'sequence', 'log_time', 'publish_time')
 """Head of a message's record in an MCAP file."""
-_MESSAGE, _HEAD, _CHANNEL = 5, struct.Struct('<BQHIQQ'), 9  # of records; place of the channel
+_MESSAGE, _HEAD, _SIZE = 5, struct.Struct('<BQHIQQ'), RECORD.itemsize  # of a message's record
+_CHANNEL, _TIME = 9, 15  # places of its channel and its log time
 
 
 @dataclass
@@ -70,14 +71,10 @@ def record(channel: int, time: int, data: bytes) -> bytes:
 
 def from_rows(records: np.ndarray) -> Block:
     """A block of records of one size, with the fields of `RECORD` at their beginnings."""
-    size = records.dtype.itemsize
-    data, starts = np.ascontiguousarray(records).view(np.uint8), size * np.arange(len(records))
-    return _block(data, records, starts, np.full(len(records), size - RECORD.itemsize))
-
-
-def _block(data: np.ndarray, heads: np.ndarray, starts: np.ndarray, sizes: np.ndarray) -> Block:
-    """A block of records that start somewhere, with their heads and the sizes of messages."""
-    channels, times = (heads[name].astype(np.int64) for name in ('channel', 'log_time'))
+    size, count = records.dtype.itemsize, len(records)
+    data, starts = np.ascontiguousarray(records).view(np.uint8), size * np.arange(count)
+    channels, times = (records[name].astype(np.int64) for name in ('channel', 'log_time'))
+    sizes = np.full(count, size - RECORD.itemsize)
     return Block(data, channels, times, starts + RECORD.itemsize, sizes)
 
 
@@ -88,39 +85,47 @@ def split(records: bytes | bytearray) -> tuple[Block, list[bytes]]:
         if len(content):
             raise DamageError('a chunk ends within a record')
         return Block(content, *np.zeros((4, 0), np.int64)), []
-    offsets, others = np.empty((2, len(content) // 9 + 1), np.int64)
-    numbers = rows(content, '<u8')  # lengths are at any byte
-    count, other, end = _walk(content, numbers, offsets, others)
+    columns = np.empty((4, len(content) // RECORD.itemsize + 1), np.int64)
+    others = np.empty(len(content) // 9 + 1, np.int64)
+    numbers = rows(content, '<u8')  # they are at any byte
+    count, other, end, latest = _walk(content, numbers, columns, others)
     if end != len(content):
         raise DamageError('a chunk ends within a record, or a message is shorter than its head')
-    starts = offsets[:count]
-    heads = rows(content, RECORD, starts)
-    if (heads['log_time'] > np.uint64(2**63 - 2)).any():
+    if latest > 2**63 - 2:
         raise DamageError('the time of a message is beyond all times')
-    block = _block(content, heads, starts, heads['length'].astype(np.int64) - 22)
     found = [content[at : at + 9 + int(numbers[at + 1])].tobytes() for at in others[:other]]
-    return block, found
+    return Block(content, *columns[:, :count]), found
 
 
 @njit
 def _walk(
-    data: np.ndarray, numbers: np.ndarray, offsets: np.ndarray, others: np.ndarray
-) -> tuple[int, int, int]:
-    position, count, other, total = 0, 0, 0, len(data)
+    data: np.ndarray, numbers: np.ndarray, columns: np.ndarray, others: np.ndarray
+) -> tuple[int, int, int, int]:
+    """Write the four columns of a `Block`, and where records of other kinds begin.
+
+    Returns the numbers of both, the end of the last whole record, and the latest time.
+    """
+    position, count, other, total, latest = 0, 0, 0, len(data), np.uint64(0)
     while position + 9 <= total:
         size = numbers[position + 1]
         if size > total or position + 9 + np.int64(size) > total:
             break
-        if data[position] == 5:
+        if data[position] == _MESSAGE:
             if size < 22:
                 break
-            offsets[count] = position
+            time = numbers[position + _TIME]
+            latest = max(latest, time)
+            low, high = data[position + _CHANNEL], data[position + _CHANNEL + 1]
+            columns[0, count] = np.int64(low) + 256 * np.int64(high)
+            columns[1, count] = np.int64(time)
+            columns[2, count] = position + _SIZE
+            columns[3, count] = np.int64(size) + 9 - _SIZE
             count += 1
         else:
             others[other] = position
             other += 1
         position += 9 + np.int64(size)
-    return count, other, position
+    return count, other, position, latest
 
 
 def joined(blocks: list[Block]) -> Block:
