@@ -506,6 +506,7 @@ class SerialSensorMonitor:
         self._stamp, self._reading = int(stamps[-1]), samples[-1, 0].copy()
         self._gate.follow(self._stamp)
         self._older, self._counted = 0, begin
+        self._lacks_efforts = bool(np.isnan(samples[:, 2]).any())
         for first, until, stamp in self._monitor.run(stamps, samples, answers.rows, begin):
             if stamp is None:
                 self._report_due(answers, first, until)
@@ -579,8 +580,8 @@ class SerialSensorMonitor:
     def _count_missing(self, answers: Answers, until: int) -> None:
         """Count measurements that were used, and those without all efforts, up to a row."""
         self._used += until - self._counted
-        missing = np.isnan(answers.samples[self._counted : until, 2])
-        if missing.any():
+        if self._lacks_efforts:
+            missing = np.isnan(answers.samples[self._counted : until, 2])
             self.counters.without_effort += int(missing.any(axis=1).sum())
         self._note_steps(answers.stamps[self._counted : until])
         self._counted = until
@@ -601,7 +602,7 @@ class SerialSensorMonitor:
         """Diagnostics reports of samples between two decisions."""
         while first < until and self._is_due(int(answers.stamps[until - 1])):
             due = self._monitor.progress['next_report']
-            first += int(np.searchsorted(answers.stamps[first:until], due))
+            first += int(answers.stamps[first:until].searchsorted(due))
             if first < until:
                 self._count_missing(answers, first + 1)
                 self._report(answers, first)
@@ -631,13 +632,14 @@ class SerialSensorMonitor:
             self._losses = _LOST.format(new['gaps'])
 
     def _report(self, answers: Answers, row: int) -> None:
-        self._monitor.progress['next_report'] = int(answers.stamps[row]) + _REPORT_INTERVAL
-        self._note_losses(int(answers.stamps[row]))
+        stamp = int(answers.stamps[row])
+        self._monitor.progress['next_report'] = stamp + _REPORT_INTERVAL
+        self._note_losses(stamp)
         answer = answers.plain[row]
         state, fault = answer['state'], answer['fault'] if answer['has_fault'] else None
         note, other = self._remark(state), self._period_text()
         notes = [text for text in (note, other if note != _TOO_RARE else '') if text]
-        said = notes[:1] if state['mode'] < Mode.STALE else [unusable_text(self.counters)]
+        said = notes[:1] if int(state['mode']) < Mode.STALE else [unusable_text(self.counters)]
         answers.due.append((row, self._make_report(state, fault, *(said or ['']))))
         for note in notes:
             subject = note.partition(';')[0]
@@ -692,8 +694,8 @@ class SerialSensorMonitor:
         position = state['compensated_position'].tolist()
         if text := other_unit(self.arm, position, position):
             return _UNITS.format(text)
-        missing = monitor.missing_efforts
-        if missing.all() and not monitor.suspects:
+        missing = monitor.missing_efforts.tolist()
+        if all(missing) and not monitor.suspects:
             return _NO_EFFORT if self.arm.effort_includes_gravity else _NO_WEIGHT
         if not monitor.balances and self.counters.gaps - self._gaps_before > LONGEST_STEP:
             return _TOO_RARE
@@ -703,7 +705,7 @@ class SerialSensorMonitor:
             return CONTACT
         if monitor.suspects:
             return 'inconsistent; what explains it: ' + ', '.join(monitor.suspects)
-        if missing.any():
+        if any(missing):
             return _SOME_EFFORTS.format(', '.join(compress(self.arm.joint_names, missing)))
         if monitor.estimator.misfit() > ROBUST:
             return MISFIT

@@ -49,7 +49,11 @@ class FollowedFaults:
     @property
     def known(self) -> set[int]:
         """Sensors of which a fault is followed, or whose readings are noisy."""
-        return {*self.filters, *np.flatnonzero(self._readings.sampler.noisy).tolist()}
+        return {*self.filters, *self._noisy()}
+
+    def _noisy(self) -> list[int]:
+        """Sensors whose readings are noisy."""
+        return [i for i, one in enumerate(self._readings.sampler.noisy.tolist()) if one]
 
     def __len__(self) -> int:
         """Number of faults that balances hold."""
@@ -76,7 +80,7 @@ class FollowedFaults:
         now = readings.last()
         for i, one in self.filters.items():
             sigma[i] = one.fault(float(readings.sampler.raw[i]), now)[1]
-        for noisy in np.flatnonzero(readings.sampler.noisy).tolist():
+        for noisy in self._noisy():
             sigma[noisy] = math.hypot(sigma[noisy], readings.noise(noisy))
         return sigma
 

@@ -277,7 +277,7 @@ class SerialMonitor:
 
     def _do_stage(self, now: float) -> None:
         """Do the stage of a decision at which `decide` left."""
-        self._state['stage'] = self._steps[self._state['stage']](now)
+        self._state['stage'] = int(self._steps[self._state['stage']](now))
         self._tell()
 
     def _tell(self) -> None:
