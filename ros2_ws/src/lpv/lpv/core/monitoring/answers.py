@@ -1,5 +1,6 @@
 """What a measurement leads to, for any number of joints."""
 
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -66,11 +67,10 @@ class Answers:
 
     Attributes
     ----------
-    records : recarray, shape (n,)
-        Of `answer_type`; ``plain`` is the same, of which a part is taken in a tenth of the time,
-        and ``bytes``, shape (n, size), its memory.
-    answered, has_fault, restarted, inconsistent, state, fault : ndarray, shape (n,)
-        Fields of the records.
+    plain : ndarray, shape (n,)
+        Of `answer_type`; ``bytes``, shape (n, size), is its memory.
+    answered, has_fault, restarted, inconsistent : ndarray, shape (n,)
+        Fields of ``plain``.
     rows : AnswerRows
         For compiled functions.
     stamps, samples : ndarray, shapes (n,), (n, 3, joints)
@@ -83,17 +83,25 @@ class Answers:
     def __init__(self, kind: np.dtype, count: int) -> None:
         # A single row would be contiguous, another type to compiled functions.
         memory = np.zeros(count + 1, kind)
-        records: Any = memory[:count].view(np.recarray)
-        self.records, self.plain, self.rows = records, memory[:count], answer_rows(memory)
+        self.plain, self.rows = memory[:count], answer_rows(memory)
         self.bytes = memory.view('u1').reshape(-1, kind.itemsize)[:count]
-        self.answered, self.has_fault = records.answered, records.has_fault
-        self.restarted, self.inconsistent = records.restarted, records.inconsistent
-        self.state, self.fault = records.state, records.fault
+        self.answered, self.has_fault = self.plain['answered'], self.plain['has_fault']
+        self.restarted, self.inconsistent = self.plain['restarted'], self.plain['inconsistent']
         self.stamps = np.empty(count, np.int64)
         self.samples = np.empty((count, 3, self.rows.position.shape[1]))
         self.events: list[tuple[int, Alarm]] = []
         self.due: list[tuple[int, Report]] = []
         self.warnings: list[tuple[int, str]] = []
+
+    @cached_property
+    def state(self) -> np.recarray:
+        """Field of ``plain``; made if somebody asks, as that takes longer than all the rest."""
+        return self.plain['state'].view(np.recarray)
+
+    @cached_property
+    def fault(self) -> np.recarray:
+        """As ``state``."""
+        return self.plain['fault'].view(np.recarray)
 
     @property
     def reports(self) -> list[tuple[int, list[dict[str, Any]]]]:

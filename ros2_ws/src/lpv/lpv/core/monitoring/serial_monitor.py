@@ -360,7 +360,7 @@ class SerialSensorMonitor:
             if begin < idle:
                 regular = min(regular, idle - begin)
             if not regular:
-                row: Any = answers.records[begin : begin + 1]
+                row = answers.plain[begin : begin + 1]
                 if not self._is_of_stream(int(stamps[begin]), row):
                     self._report_silence(arrived, begin, answers)
                     begin += 1
@@ -404,7 +404,7 @@ class SerialSensorMonitor:
         """Which rates, shape (..., n), have to be made of the readings."""
         return ~np.isfinite(rates) | self._without_rates
 
-    def _is_of_stream(self, stamp: int, row: np.recarray) -> bool:
+    def _is_of_stream(self, stamp: int, row: np.ndarray) -> bool:
         """Whether a stamp is of the stream, which goes on where it was if its clock was set.
 
         ``row`` receives the answer to one that is not.
@@ -415,7 +415,7 @@ class SerialSensorMonitor:
             return False
         if self._gate.shift:
             self.counters.restarts += 1
-            row.restarted[0] = True
+            row['restarted'] = True
             self._set_clock(self._gate.shift - 2 * self._gap)
         return True
 
@@ -430,7 +430,7 @@ class SerialSensorMonitor:
         self._stamp += shift
         self._monitor.doubt(shift, self._stamp)
 
-    def _prepare(self, stamp: int, sample: FloatArray, unread: np.bool_, row: np.recarray) -> bool:
+    def _prepare(self, stamp: int, sample: FloatArray, unread: np.bool_, row: np.ndarray) -> bool:
         """Get ready for a sample that does not simply follow; False if it is used up so.
 
         ``row`` receives the answer in this case.
@@ -538,7 +538,7 @@ class SerialSensorMonitor:
         """Stamp of the last sample that was usable [ns]."""
         return self._stamp
 
-    def went_on(self, stamp: int, reading: FloatArray, record: np.recarray) -> None:
+    def went_on(self, stamp: int, reading: FloatArray, record: np.ndarray) -> None:
         """Samples up to this one were taken with `parts`; ``record`` is its answer, of one row."""
         if stamp <= self._stamp:
             return  # the gate has seen later stamps, of samples without use
@@ -564,15 +564,16 @@ class SerialSensorMonitor:
             rates = (samples[:, 0] - before) / interval[:, None]
             samples[:, 1] = np.where(missing, rates, samples[:, 1])
 
-    def _answer_stale(self, stamp: int, row: np.recarray) -> None:
+    def _answer_stale(self, stamp: int, row: np.ndarray) -> None:
         """Answer an unusable sample with the last estimate; never with silence."""
-        restarted = bool(row.restarted[0])
-        row[0] = self._last[0]
-        row.restarted, row.answered = restarted, True
-        row.state.mode = Mode.STALE if row.has_fault[0] else Mode.NO_ESTIMATE
-        row.fault.state = SensorState.STALE
-        if not row.has_fault[0] or abs(stamp - self._stamp) > LONGEST_UNUSABLE:
-            row.state.trustworthy = False
+        restarted = bool(row['restarted'][0])
+        row[:] = self._newest
+        row['restarted'], row['answered'] = restarted, True
+        state, has_fault = row['state'], bool(row['has_fault'][0])
+        state['mode'] = int(Mode.STALE if has_fault else Mode.NO_ESTIMATE)
+        row['fault']['state'] = int(SensorState.STALE)
+        if not has_fault or abs(stamp - self._stamp) > LONGEST_UNUSABLE:
+            state['trustworthy'] = False
 
     def _is_due(self, stamp: int) -> bool:
         return bool(stamp >= self._monitor.progress['next_report'])

@@ -495,7 +495,7 @@ def _hand_over(
     """Let the monitor itself take a sample, as the node does; returns alarm events."""
     before, stamps, state = int(own.usable), loop.stamps, loop.plant.state
     if before != NEVER:
-        last = records[before : before + 1].view(np.recarray)
+        last = records[before : before + 1]
         monitor.went_on(int(stamps[before]), loop.samples[before, 0], last)
     measured = state.measured_position, state.measured_velocity, state.effort
     answers = monitor.take_many(stamps[k : k + 1], *(np.array([one]) for one in measured))
