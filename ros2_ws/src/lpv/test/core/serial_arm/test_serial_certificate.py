@@ -11,7 +11,8 @@ from lpv import ConfigError, load_arm
 from lpv.core.serial_arm.certificate.disturbance import missed_torque
 from lpv.core.serial_arm.certificate.loop_gains import LoopGains
 from lpv.core.serial_arm.chain import compile_chain
-from lpv.core.serial_arm.description import LinkInertia
+from lpv.core.serial_arm.description import JointFriction, LinkInertia, TorqueTolerance
+from lpv.core.serial_arm.dynamics.friction import drive_friction
 from lpv.core.serial_arm.dynamics.model import SerialModel
 from lpv.core.serial_arm.dynamics.payload import with_payload
 from lpv.core.support.resources import bringup_file
@@ -83,6 +84,26 @@ def test_given_rotors_that_are_off_when_driven_then_the_missed_torque_is_bounded
     assert 0.9 * parts['model error of rotors'] < size
     assert size < parts['model error'] + parts['model error of rotors']
     assert size > parts['model error']  # which is that of the links
+
+
+@pytest.mark.parametrize(('friction', 'tolerated'), [
+    ({'offset': -8.0}, 0.0), ({}, 7.0), ({'coulomb': 20.0, 'load': 0.5}, 0.0),
+], ids=['offset', 'torque_tolerance', 'load'])  # fmt: skip
+def test_given_torques_that_the_file_allows_then_the_missed_torque_is_bounded(friction, tolerated):
+    (arm, gains), rates = FILES['ur10'], np.full(6, 0.1)
+    joint = JointFriction(coulomb_slope=1e6, **friction)
+    stated = TorqueTolerance((0.0, 0.05, 0.2), (0.0, tolerated, 0.0))
+    arm = with_joints(arm, friction=joint, torque_tolerance=stated)
+    chain, drive, change = compile_chain(arm), np.array(arm.torque_limit), arm.uncertainty.friction
+    true = chain._replace(friction=chain.friction * [*np.full(4, 1.0 + change), 1.0])
+    taken, compensated = np.zeros((2, 6))
+    # Friction holds a load with a drive that gives all it can.
+    drive_friction(true, -rates, drive, taken)
+    drive_friction(chain, rates, -drive, compensated)
+    missed = np.abs(taken - compensated) + tolerated
+    parts = missed_torque(arm, gains.model, 0.0, rates, 0.0)
+    bound = parts['dry friction, opposed at every joint'] + parts['torque_tolerance']
+    assert 0.9 * bound < np.sqrt((missed**2 / gains.model.inertia).sum()) < (1.0 + 1e-9) * bound
 
 
 @EACH

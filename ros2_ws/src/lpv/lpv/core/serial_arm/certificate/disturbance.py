@@ -17,12 +17,15 @@ from lpv.core.serial_arm.chain import (
     IZZ,
     LOAD,
     MASS,
+    OFFSET,
     VISCOUS,
     Chain,
     FloatArray,
     compile_chain,
 )
 from lpv.core.serial_arm.description import SerialArm
+from lpv.core.serial_arm.diagnosis.healthy_balance import tolerated
+from lpv.core.support.inequalities import SAME
 
 
 def missed_torque(
@@ -50,19 +53,26 @@ def missed_torque(
     load = math.sqrt(bounds.payload * arm.uncertainty.largest_payload)
     tip = float(turning @ _distances(chain, len(chain.translation)))
     change, friction = arm.uncertainty.friction, chain.friction
-    viscous, torque = friction[:, VISCOUS], np.array(arm.torque_limit)
+    viscous, offset = friction[:, VISCOUS], np.abs(friction[:, OFFSET])
     # Negative viscous friction is no damping: all of it counts, besides its error.
     missed = (change * np.abs(viscous) + 2.0 * np.maximum(-viscous, 0.0)) * rates
     rotors = model_error * acceleration * np.abs(chain.motor).sum(1)
-    dry = (2.0 + change) * friction[:, COULOMB]
-    # Of friction that grows with load, torques of the model and of the arm are below the limit.
-    loaded = np.where(friction[:, LOAD] > 0.0, (2.0 + change) * friction[:, LOAD] * torque, 0.0)
+    dry = (2.0 + change) * friction[:, COULOMB] + change * offset
+    # Torques of the model and of the arm are below the limit; while friction helps the drive to
+    # hold the load, a gear carries both.
+    other = (1.0 + change) * (np.abs(viscous) * rates + friction[:, COULOMB] + offset)
+    left = np.maximum(1.0 - (1.0 + change) * friction[:, LOAD], SAME)
+    loaded = (2.0 + change) * friction[:, LOAD] * (np.array(arm.torque_limit) + other) / left
+    parts = [joint.torque_tolerance for joint in arm.joints]
+    points = (np.array([part.speed, part.torque]) for part in parts)
+    stated = np.array([tolerated(*one) for one in zip(points, np.zeros_like(rates), rates)])
     return {
         'model error': model_error * (free_fall * math.sqrt(mass) + moving),
         'model error of rotors': _norm(rotors, bounds),
         'payload': load * (free_fall + tip),
         'viscous friction': _norm(missed, bounds),
         'dry friction, opposed at every joint': _norm(dry + loaded, bounds),
+        'torque_tolerance': _norm(stated, bounds),
     }
 
 
