@@ -468,6 +468,7 @@ class SerialSensorMonitor:
         if not missing.any() and not self._is_missing:
             return
         self._missing_since[missing & (self._missing_since == NEVER)] = stamp
+        self._monitor.unread |= missing
         long = missing & (stamp - self._missing_since > LONGEST_UNUSABLE)
         events = self._alarms.dropouts(long, self._missing_since, stamp)
         answers.events += [(row, event) for event in events]

@@ -1,5 +1,6 @@
 """The monitor of an arm for samples by the thousand, each of which is answered."""
 
+import math
 from collections.abc import Iterator
 
 import numpy as np
@@ -134,12 +135,14 @@ class SteppedMonitor(SerialMonitor):
         begins = sorted({0, *after_gap.nonzero()[0].tolist()})
         for begin, end in zip(begins, [*begins[1:], len(times)]):
             if after_gap[begin]:
-                self.begin_again()
+                following = times[begin], values[begin, 0], values[begin, 1]
+                self.begin_again(following if steps[begin] < math.inf else None)
+                self.know(self.stamp_of(self.readings.last()))
             self.progress['taken'] = self.progress['answered'] = self.progress['reported'] = 0
             part = slice(begin, end)
             taken = stamps[part], times[part], values[part]
             yield from self.go_on(self.answering, rows, first + begin, *taken)
-        self._last_time = float(times[-1])
+        self._last_time, self.unread[:] = float(times[-1]), False
 
     def go_on(
         self,

@@ -179,6 +179,43 @@ def test_given_a_known_step_when_samples_return_after_a_break_then_answers_are_t
     assert [event.event.name for _, event in answers.events] == ['RAISED']
 
 
+@pytest.mark.parametrize('rates', ['derived', 'independent'])
+def test_given_a_fault_that_ends_while_its_readings_are_missing_then_it_is_not_corrected(rates):
+    arm = shoulder_arm(rates)
+    run = simulated(arm, Fault('encoder2', 'bias', 2.0, 2.05, 0.5), duration=7.0)
+    run.samples[2000:2050, :2, 1] = np.nan
+    answers = answered(arm, run)
+    assert [(event.event.name, event.kind) for _, event in answers.events] == [
+        ('RAISED', 'bias'), ('UPDATED', 'dropout'), ('CLEARED', 'bias'),
+    ]  # fmt: skip
+    error = answers.state.compensated_position - run.position
+    assert answers.state.trustworthy[2052:].all() and np.abs(error[2052:]).max() < 0.01
+
+
+@pytest.mark.parametrize('rates', ['derived', 'independent'])
+def test_given_a_fault_that_begins_while_its_readings_are_missing_then_it_is_corrected(rates):
+    """An incremental encoder has not counted meanwhile."""
+    arm = shoulder_arm(rates)
+    run = simulated(arm, Fault('encoder2', 'bias', 4.05, size=0.5), duration=7.0)
+    run.samples[2000:2050, :2, 1] = np.nan
+    answers = answered(arm, run)
+    *_, (_, alarm) = answers.events
+    assert (alarm.sensor, alarm.kind) == ('encoder2', 'bias')
+    assert abs(alarm.size - 0.5) < alarm.bound < 0.2
+    error = answers.state.compensated_position - run.position
+    assert answers.state.trustworthy[2052:].all() and np.abs(error[2052:]).max() < 0.05
+
+
+@pytest.mark.parametrize(('length', 'is_trusted'), [(50, True), (500, False)])
+def test_given_a_fault_that_may_have_ended_unread_then_trust_waits_for_it(length, is_trusted):
+    arm = shoulder_arm('independent')
+    run = simulated(arm, Fault('encoder2', 'bias', 2.0, size=0.3), duration=9.0)
+    run.samples[2000 : 2000 + length, :2, 1] = np.nan
+    answers = answered(arm, run)
+    assert (answers.state.trustworthy[2000 + length :][:50] == is_trusted).all()
+    assert answers.state.trustworthy[-1] and answers.fault.alarm[-1, 1]
+
+
 def test_given_rates_that_are_found_to_be_derived_then_the_bound_of_jumps_is_that_of_differences():
     sensors = {'velocity_noise': 0.0002, 'position_noise': 2e-4}
     said = with_joints(shoulder_arm('independent'), rotor_inertia=0.2, sensors=sensors)

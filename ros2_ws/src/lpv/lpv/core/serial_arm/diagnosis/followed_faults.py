@@ -98,6 +98,12 @@ class FollowedFaults:
         self._jumped[0] += change
         self._jumped[1] += np.where(change != 0.0, sampler.usual**2, 0.0)
 
+    def take_jump(self, i: int, size: float, sigma: float) -> None:
+        """The reading of sensor i jumped in a gap [rad], of a size that is that uncertain."""
+        self._readings.sampler.correction[i] += size
+        self._noted[i] += size
+        self._jumped[:, i] += size, sigma**2
+
     def take_jumps(self) -> tuple[FloatArray, FloatArray]:
         """Jumps of readings since the last call, and their variance, shape (n,) [rad], [rad2]."""
         (jump, variance), self._jumped = self._jumped, np.zeros(self._jumped.shape)
@@ -228,7 +234,7 @@ class FollowedFaults:
         if one is not None and not one.is_scale:
             one.predict(self._readings.last() - since * self._readings.sample_time)
             self._ended.append(one)
-        self._correct_no_more(i)
+        self.end(i)
         self._bank.kinematics.note_jump(i, sigma**2)
         sampler.correction[i] = self._noted[i] = kept
 
@@ -236,7 +242,7 @@ class FollowedFaults:
         """Take nothing out of the readings of sensor i any more; what is estimated stays true."""
         sampler = self._readings.sampler
         out = float(self.taken_out()[i])
-        self._correct_no_more(i)
+        self.end(i)
         if out == 0.0:
             return
         sampler.samples[:, 0, i] += out
@@ -244,7 +250,7 @@ class FollowedFaults:
         sampler.sums[0, i] += out * sampler.clock[BLOCK_LENGTH]
         self._readings.estimator.move_reference(i, out)
 
-    def _correct_no_more(self, i: int) -> None:
+    def end(self, i: int) -> None:
         """Samples to come of sensor i are taken as they are."""
         sampler = self._readings.sampler
         if i in self._held_rates:

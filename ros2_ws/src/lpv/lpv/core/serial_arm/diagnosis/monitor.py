@@ -142,6 +142,8 @@ class SerialMonitor:
         What explains a contradiction, the best explanation first; empty if there is none.
     misnamed : tuple of str
         Joints whose rates the file calls independent, and that are derived from their readings.
+    unread : ndarray of bool, shape (n,)
+        Sensors without a reading since the last sample, as the caller says.
     """
 
     def __init__(self, arm: SerialArm, settings: DiagnosisParameters | None = None) -> None:
@@ -222,6 +224,7 @@ class SerialMonitor:
         )
         self.readings = Readings(self.sampler, self.estimator, arm.sample_time)
         self.sensors = [SensorRecord() for _ in range(n)]
+        self.unread = np.zeros(n, bool)
         self.rates = [SensorRecord() for _ in range(n)]
         self.followed = FollowedFaults(self.readings, self.bank, self.sensors, self.rates)
         self._jumps = UndecidedJumps(self.readings, self.bank)
@@ -252,8 +255,13 @@ class SerialMonitor:
         """Logarithm of the statistic of detection at the last balance."""
         return self.bank.statistic
 
-    def begin_again(self) -> None:
-        """Begin new balances, as after a gap in the samples."""
+    def begin_again(self, following: tuple[float, FloatArray, FloatArray] | None = None) -> None:
+        """Begin new balances, as after a gap in the samples.
+
+        ``following`` is the sample after it, if it is known: time [s], readings and rates.
+        """
+        if following is not None:
+            self._compare_after_gap(*following)
         for i, sensor in enumerate(self.sensors):
             sensor.wrong_until = -math.inf  # of no new balance
             if sensor.active and sensor.level:  # new balances know of no offset
@@ -269,6 +277,53 @@ class SerialMonitor:
         self._see_nothing_wrong()
         self._mark_suspects()
         self._tell()
+
+    def _compare_after_gap(self, time: float, reading: FloatArray, rate: FloatArray) -> None:
+        """Faults may have begun or ended since the last sample.
+
+        Both are rare, and less so where the sensor itself had no readings meanwhile.  A fault goes
+        on where usual motion may explain that; else it is over, or has begun, where nothing but
+        that explains the way of the reading.
+        """
+        sampler, gap, sigmas = self.sampler, time - self.readings.last(), self.settings.sigmas
+        level = self.estimator.level
+        offset = np.array([one.level for one in self.sensors]) * level.mean[: self.joints]
+        fault, change = self.followed.taken_out() + offset, reading - sampler.raw
+        known = self.followed.sigma(), (offset != 0.0) * level.sigma
+        reach = sigmas * np.hypot(*known) + self._reach(gap, rate)
+        growth = sampler.drift * gap + sampler.share * change
+        way = change - growth - 0.5 * gap * (sampler.samples[-1, 1] + rate)
+        least = self.settings.minimum_threshold * self.scales
+        for i, sensor in enumerate(self.sensors):
+            lasts = abs(way[i]) < reach[i]
+            is_over = abs(way[i] + growth[i] + fault[i]) < reach[i]
+            if not sensor.active:
+                if self.unread[i] and not lasts and abs(way[i]) > least[i]:
+                    sigma = float(reach[i]) / sigmas
+                    self.followed.take_jump(i, float(way[i]), sigma)
+                    self.healthy = self.guarantee = None  # the size of the jump is uncertain
+                    self._raise(i, 'bias', time, float(way[i]), sigma)
+            elif sensor.kind == 'noise' or abs(fault[i]) < least[i]:
+                continue
+            elif is_over and not lasts:
+                self._jumps.forget(i)
+                self.followed.take_jump(i, -float(fault[i]), 0.0)
+                self.followed.end(i)
+                sensor.recover(time)
+            elif not lasts or (self.unread[i] and is_over):
+                sensor.doubt()
+
+    def _reach(self, gap: float, rate: FloatArray) -> FloatArray:
+        """How far off the mean of the rates before and after a gap [s] may be, (n,) [rad].
+
+        A rate changes from one to the other at any time, and besides as it usually does.
+        """
+        sampler, every = self.sampler, range(self.joints)
+        bend = 0.25 * gap * gap * np.array([self.readings.acceleration(i) for i in every])
+        own, differenced = self.arm.sensors().velocity_noise, sampler.usual / self.arm.sample_time
+        noise = gap * np.where(sampler.derived == 1.0, differenced, own)
+        usual: FloatArray = np.sqrt(sampler.usual**2 + noise**2 + bend**2)
+        return self.settings.sigmas * usual + 0.5 * gap * np.abs(rate - sampler.samples[-1, 1])
 
     @property
     def missing_efforts(self) -> BoolArray:
