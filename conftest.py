@@ -13,9 +13,9 @@ import pytest
 from hypothesis import settings
 from places import ROOT
 
-for _name, _place in (('lpv', ROOT / 'ros2_ws' / 'src' / 'lpv'), ('lpv_design', ROOT / 'design')):
+for _name, _place in (('lpv', 'ros2_ws/src/lpv'), ('lpv_design', 'design/lpv_design')):
     if importlib.util.find_spec(_name) is None:
-        sys.path.insert(0, str(_place))
+        sys.path.insert(0, str(ROOT / _place))
 
 # Tests share the machine: before NumPy is loaded, and for all processes that tests start.
 for _name in ('OMP_NUM_THREADS', 'OPENBLAS_NUM_THREADS'):

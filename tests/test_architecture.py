@@ -217,6 +217,17 @@ def test_given_a_package_when_released_then_what_it_says_of_itself_is_right(pack
         assert sorted((package / 'test').glob('test_*.py'))
 
 
+def test_given_a_workspace_when_searched_as_rosdep_does_then_each_package_is_there_once():
+    """It follows links, goes no deeper than a manifest, and ends where a name comes twice."""
+    found = []
+    for folder, folders, files in os.walk(ROOT, followlinks=True):
+        if 'AMENT_IGNORE' in files or 'package.xml' in files:
+            folders.clear()
+            found += [Path(folder).name] if 'package.xml' in files else []
+        folders[:] = [one for one in folders if not one.startswith('.')]
+    assert sorted(found) == sorted(one.name for one in FOLDERS)
+
+
 @pytest.mark.parametrize(('real', 'scripts'), [(1, []), (None, ['ros2 = lpv_ros2cli.main:main'])])
 def test_given_a_real_ros2cli_when_built_by_hand_then_ours_is_left_out(monkeypatch, real, scripts):
     monkeypatch.setattr('importlib.util.find_spec', {'ros2cli': real}.__getitem__)

@@ -15,7 +15,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = ROOT / 'docs' / 'paper-notes.md'
-FOLDERS = ('ros2_ws/src/lpv/lpv', 'design/lpv_design')
+FOLDERS = ('ros2_ws/src/lpv/lpv', 'design/lpv_design/lpv_design')
 LAST = 70
 """Number of the paper's last equation."""
 

@@ -8,9 +8,8 @@ from places import PACKAGES, ROOT
 
 
 def package_folders():
-    """Python packages by name; lpv_design is in ``design/``, our ros2 command in ``tools/``."""
+    """Python packages by name; our ros2 command is in ``tools/``."""
     folders = {path.name: path / path.name for path in PACKAGES.glob('lpv*')}
-    folders['lpv_design'] = ROOT / 'design' / 'lpv_design'
     folders['lpv_ros2cli'] = ROOT / 'tools' / 'lpv_ros2cli' / 'lpv_ros2cli'
     return {name: path for name, path in sorted(folders.items()) if path.is_dir()}
 
