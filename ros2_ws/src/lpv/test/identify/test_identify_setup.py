@@ -12,6 +12,7 @@ from ur10e_twin import recording as recording_of_twin
 from ur10e_twin import ur10e
 
 from lpv import ConfigError, LpvError, load_arm
+from lpv.bag.run.csv_import import load_column_map
 from lpv.core.serial_arm import description
 from lpv.core.serial_arm.arm_file import save_arm
 from lpv.core.serial_arm.chain import compile_chain
@@ -240,7 +241,11 @@ def test_given_what_does_not_fit_then_it_is_said_before_the_fit(arm, tmp_path, r
     said = refusal(run, '--columns', columns, arm=slide)
     assert 'columns.yaml: joints.one.unit: must be m' in said
     run.write_text('time;q1;tau1\n0.0;0.1;0.2\n')
-    assert 'it has time;q1;tau1; give a column map' in refusal(run)
+    said = refusal(run)
+    assert 'it has time;q1;tau1; give a column map' in said
+    example = tmp_path / 'example.yaml'  # of a map, as the error shows it
+    example.write_text(said[said.index('such as {') + 8 :])
+    assert load_column_map(example).joints == {'shoulder': ('q1', '', 'i1')}
     missing = tmp_path / 'nothing.csv'
     assert 'File exists' in refusal(missing, '--out', tmp_path / 'arm.yaml' / 'a')
     assert 'not a folder' in refusal(missing, '--out', tmp_path)

@@ -50,7 +50,7 @@ def run(arguments: argparse.Namespace) -> int:
         for joint in arm.joints:
             if joint.is_prismatic and columns.units.get(joint.name) == 'deg':
                 field = f'joints.{joint.name}.unit'
-                raise ConfigError(field, 'must be m: it is prismatic', arguments.columns)
+                raise ConfigError(field, 'must be m or mm: it is prismatic', arguments.columns)
 
     second = _second_encoders(arguments, arm, columns)
 

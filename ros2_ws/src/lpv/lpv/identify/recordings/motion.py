@@ -70,8 +70,8 @@ def split(recording: Recording) -> list[Segment]:
     step = max(1e-9, round(float(np.median(np.diff(time))), 9))  # stamps count nanoseconds
     if 1.0 / step < MIN_RATE:
         raise IdentificationError(
-            f'{recording.source}: {1.0 / step:.1f} Hz is too slow, accelerations'
-            f' need at least {MIN_RATE:g} Hz'
+            f'{recording.source}: {1.0 / step:.2g} Hz is too slow, accelerations need at least '
+            f'{MIN_RATE:g} Hz; is the time in another unit?'
         )
     if recording.duration / step > MOST_SAMPLES:
         raise IdentificationError(

@@ -37,6 +37,10 @@ _PATTERNS = {
     'tau{} current{}',
 }
 """Names of columns by the joint's name, or by its number."""
+_GIVE_MAP = (
+    'give a column map (--columns), a YAML file such as {time: {column: t, unit: ms}, '
+    'joints: {shoulder: {position: q1, effort: i1, unit: deg}}}'
+)
 
 
 @dataclass(frozen=True)
@@ -301,7 +305,7 @@ def _guess_columns(path: Path, joints: Sequence[str]) -> ColumnMap:
     if time is None:
         there = ', '.join(header) or 'no columns at all'
         text = f'has no column "time", "t" or "stamp", it has {there[:MOST_TEXT]}'
-        raise IdentificationError(f'{path}: {text}; give a column map (--columns)')
+        raise IdentificationError(f'{path}: {text}; {_GIVE_MAP}')
     found, labels = {}, _labels(path, header, joints)
     for label, joint in zip(labels, joints):
         names = []
@@ -310,8 +314,7 @@ def _guess_columns(path: Path, joints: Sequence[str]) -> ColumnMap:
             match = next((name for name in wanted if name in header), None)
             if match is None and kind != 'velocity':
                 raise IdentificationError(
-                    f'{path}: no column looks like the {kind} of '
-                    f'{joint!r}; give a column map (--columns)'
+                    f'{path}: no column looks like the {kind} of {joint!r}; {_GIVE_MAP}'
                 )
             names.append(match or '')
         found[joint] = tuple(names)
@@ -331,6 +334,6 @@ def _labels(path: Path, header: list[str], joints: Sequence[str]) -> Sequence[st
     if len(numbers) != len(joints):
         raise IdentificationError(
             f'{path}: positions are numbered {", ".join(numbers)}, but the arm has '
-            f'{len(joints)} joints; give a column map (--columns)'
+            f'{len(joints)} joints; {_GIVE_MAP}'
         )
     return numbers
