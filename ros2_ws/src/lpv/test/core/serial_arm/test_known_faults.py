@@ -192,6 +192,16 @@ def test_given_a_fault_that_ends_while_its_readings_are_missing_then_it_is_not_c
     assert answers.state.trustworthy[2052:].all() and np.abs(error[2052:]).max() < 0.01
 
 
+def test_given_a_gap_when_samples_return_then_bounds_hold_what_may_have_begun_in_it():
+    """Where all sensors had no readings, an offset is as likely as ever, and looked for anew."""
+    run = simulated(shoulder_arm(), Fault('encoder2', 'bias', 8.05, size=0.3), duration=8.6)
+    run = without(run, slice(4000, 4050))
+    answers = answered(shoulder_arm(), run)
+    error = np.abs(answers.fault.estimate - (run.samples[:, 0] - run.position))
+    assert (error < answers.fault.bound)[4000:].all()
+    assert answers.fault.bound[3999, 1] < 0.3  # it would not, else
+
+
 @pytest.mark.parametrize('rates', ['derived', 'independent'])
 def test_given_a_fault_that_begins_while_its_readings_are_missing_then_it_is_corrected(rates):
     """An incremental encoder has not counted meanwhile."""

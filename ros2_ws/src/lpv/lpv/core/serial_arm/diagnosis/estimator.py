@@ -599,6 +599,7 @@ class OffsetEstimator:
             self.call(recall, window, null)
             window.past[:, -m:], window.past[1:, 0] = null.recalled, null.recalled[0]
             forget_newest(window, last)
+        self.call(solve_all, self.horizon)
 
     def replace_last(self, blocks: FloatArray) -> None:
         """Evaluate the last balances again, from their blocks; one interval more than balances."""
