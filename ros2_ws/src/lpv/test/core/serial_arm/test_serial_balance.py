@@ -305,3 +305,12 @@ def test_given_rows_or_none_when_their_sums_are_searched_then_the_loudest_window
     parts = rows.parts._replace(**noise, trusted=np.array([False, True, False]))
     parts.rows[-9:], parts.held[0] = values, 9
     assert bank.loudest_window(parts, 0.05) == pytest.approx(expected)
+
+
+@pytest.mark.parametrize('first', [-np.inf, -800.0, 0.0, 800.0])
+def test_given_logarithms_of_any_size_when_added_then_it_is_their_sum(first):
+    total, logarithms = (-np.inf, 0.0), [first, 3.0, -np.inf, 3.5, -2.0, -700.0]
+    for one in logarithms:
+        total = linear_bank.add_logarithm(total, one)
+    expected = np.logaddexp.reduce(logarithms)
+    assert total[0] + np.log(total[1]) == pytest.approx(expected, rel=1e-14)

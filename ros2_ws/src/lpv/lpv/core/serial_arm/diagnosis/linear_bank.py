@@ -137,15 +137,29 @@ def gather(
     watch_noise(outside, null)
     weigh_residuals(window, null, longest + 1)
     rough_contact(outside, null, 0, longest)
-    every, pushed = -np.inf, -np.inf
+    every, pushed = (-np.inf, 0.0), (-np.inf, 0.0)
     for w in range(count):
         evidence.contact[w] = outside.rough[evidence.lengths[w] - 1]
-        pushed = np.logaddexp(pushed, evidence.contact[w] + evidence.starts[w])
+        pushed = add_logarithm(pushed, evidence.contact[w] + evidence.starts[w])
         for i in range(n):
             for k in range(kinds.basis.shape[0]):
                 _compare(evidence, kinds, (k, i, w), times[0], unseen[i])
-                every = np.logaddexp(every, evidence.gain[k, i, w] + evidence.starts[w])
-    return every, pushed
+                every = add_logarithm(every, evidence.gain[k, i, w] + evidence.starts[w])
+    return every[0] + np.log(every[1]), pushed[0] + np.log(pushed[1])
+
+
+@njit_in_place
+def add_logarithm(total: tuple[float, float], logarithm: float) -> tuple[float, float]:
+    """Add to a sum what has this logarithm; the largest one so far, and the sum over its number.
+
+    That takes one exponential, where `numpy.logaddexp` takes a logarithm as well.
+    """
+    largest, rest = total
+    if logarithm > largest:
+        return logarithm, rest * np.exp(largest - logarithm) + 1.0
+    if logarithm == -np.inf:
+        return total
+    return largest, rest + np.exp(logarithm - largest)
 
 
 @njit_in_place
