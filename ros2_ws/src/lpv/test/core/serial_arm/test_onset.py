@@ -2,7 +2,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from fault_injection import BY_NAME, Cell, draw
+from fault_injection import BY_NAME, Cell, cells, draw, run
 from serial_arms import shoulder_arm
 from simulated_runs import simulated_run
 from ur10e_twin import twin
@@ -143,10 +143,10 @@ def test_given_a_drift_that_is_tried_then_it_changes_balances_as_blocks_without_
     trials = drift_trial.new_trials(estimator.window, null, blocks, per, n)
     onsets = np.array([[onset.Onset(0.0, RATE, 0.1, BEGIN, LAST - 1)]])
     found = drift_trial.new_found(onsets)
-    joint, prior = np.array([JOINT]), np.array([PRIOR])
-    drift_trial.compare_drifts(own, trials, null.factor, joint, prior, onsets, found)
+    joint, prior, parts = np.array([JOINT]), np.array([[0.0], [PRIOR]]), (1.0, 1.0)
+    drift_trial.compare_drifts(own, trials, null.factor, joint, parts, prior, onsets, found)
     size, freed, rows = found[0, -1, drift_trial.SIZE], blocks.copy(), []
-    drift_trial.free_of_drift(blocks, JOINT, 1.0, BEGIN, size, freed)
+    drift_trial.free_of_drift(blocks, JOINT, parts, BEGIN, size, freed)
     for some in (blocks, freed):
         rows.append(np.empty((LAST, *one.hat.rows.shape)))
         balance.fill_balances(balance.scratch_of(one), some, per, rows[-1])
@@ -196,3 +196,10 @@ def test_given_a_filter_when_corrected_then_what_is_beyond_its_bound_or_rests_is
     assert shares[0] == pytest.approx(0.0, abs=1e-9) and shares[-1] == 1.0
     assert np.all(np.diff(shares) > 0.0) and shares[-2] > 0.999
     assert replace(drift(0.3, 0.5), kind='stuck').share(0.0, 0.2, 4.0) == 1.0
+
+
+def test_given_a_biased_rate_that_seems_to_turn_round_then_friction_tells_it_from_a_drift():
+    """To first order friction does not change, and both explain the balances alike."""
+    (cell,) = cells(['real_arm'], [False], ['independent'], [BY_NAME['rate bias 0.1']])
+    verdict = run(cell, 100)
+    assert verdict.in_time and verdict.kind == 'rate_bias'

@@ -504,11 +504,11 @@ class Bank:
         """Drifts of encoders, and biases of rates beside them, by the moment when they began.
 
         The momentum seems to jump with a rate, and does not with a reading that begins to drift:
-        windows of the bank begin at other moments.
+        windows of the bank begin at other moments, and know friction to first order.
         """
         estimator, own = self.estimator, self.kinematics
         last = min(int(self._lengths[windows - 1]), len(estimator) - 1) + 1
-        rows, end = new_rows(last, estimator.joints), block_end(blocks(1)[-1])
+        rows = new_rows(last, estimator.joints)
         lengths, interval = np.arange(1, last + 1), estimator.plan.interval
         estimator.call(sum_rows, own.parts, interval, lengths, rows)
         # Less evidence than a hypothesis needs to count at all is none.
@@ -516,7 +516,7 @@ class Bank:
         joints, hypotheses = np.flatnonzero(contradict), list[Hypothesis]()
         ways = rows.found[:, joints], rows.weight[:, joints]
         for fault in OF_ONE if joints.size else ():
-            every = onsets_beside_rates(estimator, joints, end, fault, ways)
+            every = onsets_beside_rates(estimator, joints, fault, ways, blocks(last + 1))
             hypotheses += [
                 Hypothesis(fault.kind, i, one.gain, one.size, one.sigma, one.begin, starts)
                 for i, (one, starts) in zip(joints.tolist(), every)

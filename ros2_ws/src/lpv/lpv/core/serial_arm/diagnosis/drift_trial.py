@@ -1,8 +1,9 @@
 """Drifts of some sizes with their true effect: friction turns over where a joint is slow.
 
-Balances without the drift of an encoder are compared with those of the null hypothesis.  What the
-arm's unknowns explain, friction of the joints that the encoder tells of among them, is that of the
-rates without the drift: a joint that rests has no friction to be learned.
+Balances without the drift of an encoder are compared with those of the null hypothesis.  A drift is
+in the reading, and in the rate that is derived from it; in the rate alone, it is a bias of that.
+What the arm's unknowns explain, friction of the joints that the encoder tells of among them, is
+that of the rates without the drift: a joint that rests has no friction to be learned.
 
 Friction that turns over is as large for a small drift as for a large one, so that trials begin with
 the size to first order, and with that by which the joint would rest.
@@ -78,11 +79,16 @@ def new_found(onsets: FloatArray) -> FloatArray:
 
 @njit_in_place
 def free_of_drift(
-    blocks: FloatArray, joint: int, derived: float, begin: float, size: float, freed: FloatArray
+    blocks: FloatArray,
+    joint: int,
+    parts: tuple[float, float],
+    begin: float,
+    size: float,
+    freed: FloatArray,
 ) -> None:
-    """Write blocks whose reading, and the rate that is derived from it, are freed of a drift.
+    """Write blocks whose reading and rate are freed of a drift.
 
-    ``derived`` is that of the joint, as in `Balance`.
+    ``parts`` says how much of it is in the reading and in the rate.
     """
     n = blocks.shape[1] // 3 - 1
     for k in range(blocks.shape[0]):
@@ -91,14 +97,20 @@ def free_of_drift(
         middle, length = blocks[k, 3 * n], blocks[k, 3 * n + 1]
         after = min(max(middle + 0.5 * length - begin, 0.0), length)
         change = size * after / length
-        freed[k, joint] -= change * max(middle - begin, 0.5 * after)
-        freed[k, n + joint] -= derived * change
+        freed[k, joint] -= parts[0] * change * max(middle - begin, 0.5 * after)
+        freed[k, n + joint] -= parts[1] * change
 
 
 @njit_in_place
 def _set_changes(
-    own: Balance, trials: Trials, joint: int, onset: tuple[float, int], size: float, which: int
-) -> None:  # fmt: skip
+    own: Balance,
+    trials: Trials,
+    joint: int,
+    parts: tuple[float, float],
+    onset: tuple[float, int],
+    size: float,
+    which: int,
+) -> None:
     """Write how residuals change without a drift, and what columns of friction are then.
 
     ``onset`` is its begin, and the older one of the balances that hold it, from which on
@@ -107,9 +119,7 @@ def _set_changes(
     (begin, older), (count, n) = onset, trials.residual.shape
     per_interval, share = trials.blocks.shape[0] // (count + 1), own.to_joints[:, joint]
     first = older * per_interval
-    free_of_drift(
-        trials.blocks[first:], joint, own.derived[joint], begin, size, trials.freed[first:]
-    )
+    free_of_drift(trials.blocks[first:], joint, parts, begin, size, trials.freed[first:])
     rate, length, own.hat.length[0] = own.vectors[1], 0.0, 0.0
     for k in range(first, trials.blocks.shape[0]):
         block, force = trials.freed[k], trials.forces[k]
@@ -139,14 +149,14 @@ def _set_changes(
 @njit_in_place
 def _compare(
     trials: Trials, factor: FloatArray, share: FloatArray, older: int,
-    about: tuple[float, float, float], trial: FloatArray,
+    about: tuple[float, float, float, float], trial: FloatArray,
 ) -> None:  # fmt: skip
     """Compare a drift of one size with none; its gain is -inf where it is no number.
 
     ``share``, shape (n,), are the joints' shares in the encoder's error; ``about`` are size,
-    change of size of the second changes and prior.
+    change of size of the second changes, and mean and standard deviation of sizes beforehand.
     """
-    size, step, prior = about
+    size, step, usual, prior = about
     (count, n), m = trials.residual.shape, trials.least.shape[0]
     matrix, score, by_size, moved = trials.matrix, trials.sums[0], trials.sums[1], trials.sums[2]
     for a in range(m):
@@ -190,8 +200,8 @@ def _compare(
         slope -= score[a] * by_size[a]
         curvature -= by_size[a] * by_size[a]
     power = max(curvature, 0.0) + 1.0 / (prior * prior)
-    gain = 0.5 * (fit - (size / prior) ** 2 - np.log(power * prior * prior))
-    way = (slope - size / (prior * prior)) / power
+    gain = 0.5 * (fit - ((size - usual) / prior) ** 2 - np.log(power * prior * prior))
+    way = (slope - (size - usual) / (prior * prior)) / power
     trial[GAIN] = gain if np.isfinite(gain + way) else -np.inf
     trial[SIZE], trial[SIGMA] = size, 1.0 / np.sqrt(power)
     trial[NEXT], trial[PROMISE] = size + way, gain + 0.5 * power * way * way
@@ -222,15 +232,16 @@ def _most_promising(trials: FloatArray) -> int:
 
 @njit_in_place
 def compare_drifts(
-    own: Balance, trials: Trials, factor: FloatArray, joints: IntArray, prior: FloatArray,
-    onsets: FloatArray, found: FloatArray,
+    own: Balance, trials: Trials, factor: FloatArray, joints: IntArray, parts: tuple[float, float],
+    prior: FloatArray, onsets: FloatArray, found: FloatArray,
 ) -> None:  # fmt: skip
     """Compare drifts of some joints.
 
-    ``own`` is of `balance_of_trials`, ``factor`` that of the null hypothesis.  ``onsets``, shape
-    (J, K, 5), are the ones that are tried for each joint, with a gain of -inf where there are
-    fewer.  Trials are written to ``found``, of `new_found`, with a gain of -inf where there is
-    none, or it is no number.
+    ``own`` is of `balance_of_trials`, ``factor`` that of the null hypothesis; ``parts`` are as of
+    `free_of_drift`, and ``prior``, shape (2, J), has means and standard deviations of sizes
+    [rad/s].  ``onsets``, shape (J, K, 5), are the ones that are tried for each joint, with a gain
+    of -inf where there are fewer.  Trials are written to ``found``, of `new_found`, with a gain of
+    -inf where there is none, or it is no number.
     """
     (count, n), first = trials.residual.shape, 2 * onsets.shape[1]
     for k in range(trials.blocks.shape[0]):
@@ -261,6 +272,7 @@ def compare_drifts(
                 step = math.copysign(0.1 * max(abs(size), SLOW_RATE * own.scale[joint]), size)
                 trial[BEGIN], trial[BACK] = start[BEGIN], start[BACK]
                 for k in range(2):
-                    _set_changes(own, trials, joint, (start[BEGIN], older), size + k * step, k)
-                about = size, step, prior[j]
+                    onset = start[BEGIN], older
+                    _set_changes(own, trials, joint, parts, onset, size + k * step, k)
+                about = size, step, prior[0, j], prior[1, j]
                 _compare(trials, factor, own.to_joints[:, joint], older, about, trial)

@@ -59,36 +59,6 @@ class Onset(NamedTuple):
 NO_ONSET = Onset(-np.inf, 0.0, 0.0, 0.0, 0)
 
 
-def sudden_drifts(
-    estimator: OffsetEstimator, joints: IntArray, last: int, blocks: FloatArray
-) -> list[Onset]:
-    """The best onset of a drift of each of some encoders whose rates are derived from them.
-
-    So many ``last`` balances are looked at.  ``blocks``, shape (N, 3 n + 4), are those of the
-    balances at hand and of the interval before, oldest first.  The gain is -inf while there are too
-    few balances.
-    """
-    per_interval, missing = estimator.plan.blocks, 1 + _JUMPS
-    prior = SIZE['drift'] * estimator.balance.scale[joints]
-    likely = likely_onsets(estimator, joints, block_end(blocks[-1]), prior, last)
-    whole = len(blocks) // per_interval - 2
-    likely = [[one for one in every if one.back <= whole] for every in likely]
-    longest = max((one.back for every in likely for one in every), default=0)
-    if not longest:
-        return [NO_ONSET] * len(joints)
-    onsets = np.array([(every + missing * [NO_ONSET])[:missing] for every in likely])
-    window, null, friction = estimator.window, estimator.posterior, _learned_friction(estimator)
-    blocks, found = blocks[-(longest + 2) * per_interval :], new_found(onsets)
-    trials = new_trials(window, null, blocks, per_interval, estimator.joints)
-    own = balance_of_trials(estimator.balance, friction)
-    estimator.call(compare_drifts, own, trials, null.factor, joints, prior, onsets, found)
-    best = (every[every[:, GAIN].argmax()].tolist() for every in found)
-    return [
-        Onset(gain, size, sigma, begin, int(back)) if gain > -np.inf else NO_ONSET
-        for gain, size, sigma, begin, back, *_ in best
-    ]
-
-
 class Sudden(NamedTuple):
     """A fault that begins suddenly, by the columns of balances that it adds."""
 
@@ -101,6 +71,54 @@ DRIFT_OF_BOTH = Sudden('drift', DRIFT, True)
 """Drift of an encoder and of the rate that is derived from it."""
 OF_ONE = Sudden('drift', DRIFT, False), Sudden('rate_bias', RATE, True)
 """Faults of an encoder and of a rate sensor beside it: what they read contradicts each other."""
+
+
+def sudden_drifts(
+    estimator: OffsetEstimator, joints: IntArray, last: int, blocks: FloatArray
+) -> list[Onset]:
+    """The best onset of a drift of each of some encoders whose rates are derived from them.
+
+    So many ``last`` balances are looked at.  ``blocks``, shape (N, 3 n + 4), are those of the
+    balances at hand and of the interval before, oldest first.  The gain is -inf while there are too
+    few balances.
+    """
+    prior = SIZE['drift'] * estimator.balance.scale[joints]
+    likely = likely_onsets(estimator, joints, block_end(blocks[-1]), prior, last)
+    sizes = np.stack([np.zeros(len(joints)), prior])
+    return _tried(estimator, joints, DRIFT_OF_BOTH, likely, sizes, blocks)
+
+
+def _tried(
+    estimator: OffsetEstimator,
+    joints: IntArray,
+    fault: Sudden,
+    likely: list[list[Onset]],
+    prior: FloatArray,
+    blocks: FloatArray,
+) -> list[Onset]:
+    """The best of likely onsets of a fault of each of some joints, with its true effect.
+
+    ``prior``, shape (2, J), has means and standard deviations of sizes [rad/s]; ``blocks`` are as
+    in `sudden_drifts`.
+    """
+    per_interval, missing = estimator.plan.blocks, max(map(len, likely), default=0)
+    whole = len(blocks) // per_interval - 2
+    likely = [[one for one in every if one.back <= whole] for every in likely]
+    longest = max((one.back for every in likely for one in every), default=0)
+    if not longest:
+        return [NO_ONSET] * len(joints)
+    onsets = np.array([(every + missing * [NO_ONSET])[:missing] for every in likely])
+    window, null, friction = estimator.window, estimator.posterior, _learned_friction(estimator)
+    blocks, found = blocks[-(longest + 2) * per_interval :], new_found(onsets)
+    trials = new_trials(window, null, blocks, per_interval, estimator.joints)
+    own = balance_of_trials(estimator.balance, friction)
+    parts = float(fault.group == DRIFT), float(fault.jumps)
+    estimator.call(compare_drifts, own, trials, null.factor, joints, parts, prior, onsets, found)
+    best = (every[every[:, GAIN].argmax()].tolist() for every in found)
+    return [
+        Onset(gain, size, sigma, begin, int(back)) if gain > -np.inf else NO_ONSET
+        for gain, size, sigma, begin, back, *_ in best
+    ]
 
 
 class _Scores(NamedTuple):
@@ -136,27 +154,36 @@ def likely_onsets(
 def onsets_beside_rates(
     estimator: OffsetEstimator,
     joints: IntArray,
-    end: float,
     fault: Sudden,
     ways: tuple[FloatArray, FloatArray],
+    blocks: FloatArray,
 ) -> list[tuple[Onset, float]]:
     """The best onset of a fault of each of some joints with rates of their own.
 
     ``ways`` are sums of the last 1, 2, ... kinematic rows of these joints, and their inverse
     variances, shape (B, J); that of the onset's interval, of which a part counts, is left out.
-    With an onset comes the number of those that it stands for: one a balance, as likely anywhere
-    in its interval.
+    ``blocks`` are as in `sudden_drifts`.  With an onset comes the number of those that it stands
+    for: one a balance, as likely anywhere in its interval.  Empty while there are too few balances.
     """
     prior = SIZE[fault.kind] * estimator.balance.scale[joints]
-    one = _scores(estimator, joints, end, len(ways[0]), fault)
+    one = _scores(estimator, joints, block_end(blocks[-1]), len(ways[0]), fault)
+    if not one.back.size:
+        return []
     sums, weight = (part[one.back - 1] for part in ways)
     way = one.back[:, None] * estimator.plan.interval * (-1.0 if fault.group == RATE else 1.0)
-    score = one.total - weight * sums * way, one.power + weight * way**2 + prior**-2
+    told, known = weight * sums * way, weight * way**2 + prior**-2
+    score = one.total - told, one.power + known
     best = _best_onsets(score, prior, (one.begin, one.back), -np.inf, 1)
     every = _gains(score, prior).reshape(-1, len(joints))
-    starts = np.logaddexp.reduce(every, initial=-np.inf) - math.log(len(PLACES))
-    found = [some[0] if some else NO_ONSET for some in best]
-    return [(one, math.exp(total - one.gain)) for one, total in zip(found, starts.tolist())]
+    starts = np.logaddexp.reduce(every, initial=-np.inf) - every.max(axis=0, initial=-np.inf)
+    starts -= math.log(len(PLACES))
+    # What rows tell of the size is known before balances are tried.
+    at = [(some[0].back if some else ONSET) - ONSET for some in best], np.arange(len(joints))
+    sizes = np.stack([told[at] / known[at], known[at] ** -0.5])
+    tried = _tried(estimator, joints, fault, best, sizes, blocks)
+    rows = 0.5 * (told[at] ** 2 / known[at] - np.log(known[at] * prior**2))
+    found = [some._replace(gain=some.gain + float(gain)) for some, gain in zip(tried, rows)]
+    return list(zip(found, np.exp(starts).tolist()))
 
 
 def _scores(

@@ -169,7 +169,7 @@ def _rows_along(
     """
     n, null, reach = estimator.joints, estimator.posterior, _REACH * frozen.sigma
     gone, derived = np.empty(blocks.shape), estimator.balance.derived[joint]
-    free_of_drift(blocks, joint, derived, begin, -frozen.rate, gone)
+    free_of_drift(blocks, joint, (1.0, derived), begin, -frozen.rate, gone)
     if abs(frozen.rate) > frozen.sigma:
         return estimator.rows_of(gone)
     after, ends = gone[:, 3 * n] > begin, []
