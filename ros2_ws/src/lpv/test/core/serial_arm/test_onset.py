@@ -203,3 +203,9 @@ def test_given_a_biased_rate_that_seems_to_turn_round_then_friction_tells_it_fro
     (cell,) = cells(['real_arm'], [False], ['independent'], [BY_NAME['rate bias 0.1']])
     verdict = run(cell, 100)
     assert verdict.in_time and verdict.kind == 'rate_bias'
+
+
+def test_given_a_slow_drift_when_its_onset_is_seconds_ago_then_that_still_counts():
+    (cell,) = cells(['coarse'], [False], ['derived'], [BY_NAME['drift 0.1']])
+    verdict = run(cell, 103)
+    assert verdict.delay is not None and verdict.kind == 'drift'

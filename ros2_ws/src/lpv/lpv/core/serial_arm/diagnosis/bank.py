@@ -491,7 +491,7 @@ class Bank:
     def _sudden(self, blocks: Callable[[int], FloatArray], windows: int) -> list[Hypothesis]:
         """Drifts of encoders with derived rates whose onset itself is evidence."""
         estimator = self.estimator
-        last = min(int(self._lengths[windows - 1]), self._recent, len(estimator) - 1) + 1
+        last = min(int(self._lengths[windows - 1]), len(estimator) - 1) + 1
         held = blocks(last + 1)
         joints = np.flatnonzero(self._derived)
         onsets = sudden_drifts(estimator, joints, last, held)
