@@ -260,6 +260,20 @@ def test_given_a_step_that_noise_of_e_hides_then_it_is_found_as_three_more_sampl
     assert (found[1000:] == STEP).sum() == (found[1000:] != 0).sum() == late
 
 
+@pytest.mark.parametrize(('lost', 'found_again'), [((500,), True), (range(500, 20000, 500), False)])
+def test_given_samples_lost_when_none_was_for_long_then_such_steps_are_found_again(
+    lost, found_again
+):
+    time, readings = noisy_readings(0)
+    began = np.arange(900, len(time), 200)
+    readings[:, 0] += 0.02 * np.searchsorted(began, np.arange(len(time)), 'right')
+    kept = np.delete(np.arange(len(time)), lost)
+    found = sampled(time[kept], readings[kept], 0.002, 0.005)[1][:, 0] == STEP
+    # With one of 300 samples lost so far, 6300 without one are as rare as noise beyond the limit.
+    assert found[1000:6000].mean() < 0.3 / 200
+    assert (found[8000:].mean() > 0.9 / 200) == found_again
+
+
 @pytest.mark.parametrize('change', [10.0, -10.0])
 def test_given_noise_when_joints_stop_dead_or_begin_to_move_then_their_readings_do_not_jump(change):
     time, readings = noisy_readings(1)

@@ -61,6 +61,7 @@ from lpv.core.serial_arm.diagnosis.stamp_errors import (
     longest_gap,
     may_be_stamp,
     noise_of_gaps,
+    note_wrong_stamp,
     wrong_stamp,
 )
 from lpv.core.support.jit import njit_in_place
@@ -300,7 +301,7 @@ def _name_jump(sampler: Sampler, i: int) -> None:
         doubt = max(doubt, sampler.doubtful[peak + 1, i])
         sampler.found[i], sampler.size[i] = SPIKE if doubt == 0 else NONE, size
         if doubt > 0:
-            sampler.clock[STAMPS] = 1.0
+            note_wrong_stamp(sampler)
         middle = 0.5 * (sampler.samples[peak - 1, 0, i] + sampler.samples[peak + 1, 0, i])
         sampler.samples[peak, 0, i] = middle
         _smooth_rates(sampler, i, peak, 2)

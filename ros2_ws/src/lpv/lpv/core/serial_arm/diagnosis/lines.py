@@ -75,7 +75,7 @@ def learn_line_scale(sampler: Sampler, i: int) -> None:
 def is_step_between_lines(sampler: Sampler, i: int) -> bool:
     """Whether a reading from which its rate is derived stepped in the middle of the samples.
 
-    It is looked for where the noise of e hides jumps, and no stamp has been wrong.  What a rate
+    It is looked for where the noise of e hides jumps, while stamps are right.  What a rate
     that changes at once, within one period, does not explain is beyond chance; most of it shows in
     e, lines leave little of it, and no other reading jumps.
     """

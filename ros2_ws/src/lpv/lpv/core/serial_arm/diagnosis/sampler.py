@@ -37,9 +37,11 @@ COUNT, IN_BLOCK, IN_INTERVAL, PENDING, BLOCKS, PROBED = range(6)
 """Entries of `Sampler.counters`: samples since the start, in the block; blocks in the interval;
 sensor-independent age of a jump that waits for its kind, -1 if none; blocks written; samples in the
 probe, or those until one begins, times -1."""
-STAMPS, JITTER, SEEN, LATEST, LATE_FROM, LATE_UNTIL, IN_DOUBT, BLOCK_LENGTH, TIMES = range(9)
-"""Entries of `Sampler.clock` [s]: 1 once a stamp has been wrong; the usual variance of stamps [s2],
-and of how many it was learned; by how much stamps were wrong lately, from and until when, and by
+(STAMPS, TIMES_OFF, UNTIL_OFF, RIGHT_FOR, JITTER, SEEN, LATEST, LATE_FROM, LATE_UNTIL, IN_DOUBT,
+ BLOCK_LENGTH, TIMES) = range(12)  # fmt: skip
+"""Entries of `Sampler.clock` [s]: 1 once a stamp has been wrong, until they are right for long; how
+often one was, in how many samples, and samples since then; the usual variance of stamps [s2], and
+of how many it was learned; by how much stamps were wrong lately, from and until when, and by
 how much those of the block may be; the length of the block so far, and the integral of time [s2]
 over it."""
 ROUNDING = 1e-12
@@ -114,7 +116,7 @@ class Sampler(NamedTuple):
     contrast: FloatArray  # (8, n) what published rates are compared with, see `LARGEST`
     probe: FloatArray  # (P, 2 n + 1) samples in a row as they came: time, readings, rates
     counters: IntArray  # (6,)
-    clock: FloatArray  # moments, shape (9,) [s]
+    clock: FloatArray  # moments, shape (12,) [s]
     period: float  # sample time of the file [s]
 
 
@@ -148,7 +150,7 @@ def new_sampler(
         np.zeros(n), np.zeros(n), np.full(n, np.inf), np.full(n, np.inf), np.zeros((4, n)),
         np.zeros(n, np.int64), np.zeros((HISTORY, n), np.int64), np.zeros(n, np.int64),
         np.zeros((4, n)), np.zeros((8, n)), np.zeros((probe, 2 * n + 1)), counters,
-        np.zeros(9), period)  # fmt: skip
+        np.zeros(12), period)  # fmt: skip
 
 
 @njit_in_place

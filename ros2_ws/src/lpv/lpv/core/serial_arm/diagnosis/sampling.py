@@ -33,7 +33,6 @@ from lpv.core.serial_arm.diagnosis.sampler import (
     PROBED,
     REPLACED,
     ROUNDING,
-    STAMPS,
     TIMES,
     WRONG,
     Sampler,
@@ -41,6 +40,7 @@ from lpv.core.serial_arm.diagnosis.sampler import (
     removed,
     watch_change,
 )
+from lpv.core.serial_arm.diagnosis.stamp_errors import note_wrong_stamp, watch_stamps
 from lpv.core.support.jit import njit_in_place
 
 
@@ -105,8 +105,9 @@ def push_sample(
     if sampler.counters[COUNT] > 1 and period > LATE * (
         sampler.time[HISTORY - 2] - sampler.time[HISTORY - 3]
     ):
-        sampler.clock[STAMPS] = 1.0
+        note_wrong_stamp(sampler)
     sampler.counters[COUNT] += 1
+    watch_stamps(sampler)
     if sampler.counters[COUNT] >= 3:
         set_jumps(sampler)
         find_jumps(sampler)

@@ -14,9 +14,13 @@ from lpv.core.serial_arm.diagnosis.sampler import (
     LATE_UNTIL,
     LATEST,
     LEFT,
+    LINE_LIMIT,
+    RIGHT_FOR,
     SCALE_MEMORY,
     SEEN,
     STAMPS,
+    TIMES_OFF,
+    UNTIL_OFF,
     USUAL_JUMP,
     WRONG_RATE,
     Sampler,
@@ -45,10 +49,38 @@ def noise_of_gaps(sampler: Sampler, i: int, period: float) -> float:
 
 
 @njit_in_place
+def note_wrong_stamp(sampler: Sampler) -> None:
+    """Note that a stamp was wrong, or samples are missing: others may be, too.
+
+    What is seen of one within the samples that are kept is the same one.
+    """
+    clock = sampler.clock
+    if clock[STAMPS] == 0.0 or clock[RIGHT_FOR] > HISTORY:
+        clock[TIMES_OFF] += 1.0
+    clock[UNTIL_OFF] += clock[RIGHT_FOR]
+    clock[STAMPS], clock[RIGHT_FOR] = 1.0, 0.0
+
+
+@njit_in_place
+def watch_stamps(sampler: Sampler) -> None:
+    """Count a sample; stamps are right again once as many were as would hardly be by chance.
+
+    By the share that was wrong until the last one, which is `WRONG_STAMPS` before any samples, none
+    of so many is wrong as seldom as noise passes for a step.
+    """
+    clock = sampler.clock
+    clock[RIGHT_FOR] += 1.0
+    if clock[STAMPS] == 1.0:
+        share = (1.0 + clock[TIMES_OFF]) / (1.0 / WRONG_STAMPS + clock[UNTIL_OFF])
+        if clock[RIGHT_FOR] * share > 0.5 * sampler.lines[LINE_LIMIT, 0] ** 2:
+            clock[STAMPS] = clock[TIMES_OFF] = clock[UNTIL_OFF] = 0.0
+
+
+@njit_in_place
 def doubt_stamps(sampler: Sampler, late: float) -> None:
     """Note that the last stamp but one is wrong; some that follow may be, too."""
     clock, now = sampler.clock, sampler.time[HISTORY - 2]
-    clock[STAMPS] = 1.0
+    note_wrong_stamp(sampler)
     if clock[LATE_UNTIL] < sampler.time[HISTORY - 1 - DELAY]:
         clock[LATEST], clock[LATE_FROM] = 0.0, sampler.time[HISTORY - 3]
     clock[LATEST] = max(clock[LATEST], late)
