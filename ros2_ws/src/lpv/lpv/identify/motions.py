@@ -157,11 +157,10 @@ class _Search:
         self._torque = bounds.torque_share * np.array([limit.torque for limit in limits])
         # What no motion tells apart, as a constant weight and an offset of friction, is no reason
         # to prefer one.
-        self._told: Any = slice(None)
         some = random_trajectory(
             np.random.default_rng(0), self.center, self.reach, self.speed, 10.0
         )
-        self._told = independent(qr(self._regressor(some), mode='r')[0])
+        self._told = independent(qr(self._all_columns(some), mode='r')[0])
 
     def varied(self, rng: np.random.Generator, trajectory: Trajectory, width: float) -> Trajectory:
         size = width * self.reach / np.arange(1, len(trajectory.sine) + 1)[:, None]
@@ -207,14 +206,17 @@ class _Search:
         return True
 
     def _regressor(self, trajectory: Trajectory) -> np.ndarray:
-        """Rows of all joints, each in units of its torque's range."""
+        """Rows of all joints, each in units of its torque's range, of what motions tell apart."""
+        return self._all_columns(trajectory)[:, self._told]
+
+    def _all_columns(self, trajectory: Trajectory) -> np.ndarray:
         q, v, a = trajectory.sample(np.arange(0.0, trajectory.duration, STEP))
         full = self._model.regressor(q, v, a)
         torque = full[:, :, : N_INERTIAL * self._model.n] @ self._arm.inertial_parameters()
         friction = friction_columns(v, np.full(self._model.n, SLOPE), torque)[:, :, [0, 1, 3]]
         rows = join_columns(full[:, :, self._base.columns], friction)
         size = np.maximum(np.max(np.abs(torque), axis=0), 0.02 * np.abs(torque).max())
-        return (rows / size[:, None]).reshape(-1, rows.shape[2])[:, self._told]
+        return (rows / size[:, None]).reshape(-1, rows.shape[2])
 
     def information(self, trajectory: Trajectory) -> float:
         rows = self._regressor(trajectory)

@@ -516,7 +516,7 @@ class SerialSensorMonitor:
                 answers.events += [(first, event) for event in events]
                 if events:
                     self._monitor.progress['next_report'] = NEVER
-        self._count_missing(answers, end)
+        self._count_used(answers, end)
         self._newest = answers.record(end - 1)
 
     @property
@@ -579,8 +579,8 @@ class SerialSensorMonitor:
     def _is_due(self, stamp: int) -> bool:
         return bool(stamp >= self._monitor.progress['next_report'])
 
-    def _count_missing(self, answers: Answers, until: int) -> None:
-        """Count measurements that were used, and those without all efforts, up to a row."""
+    def _count_used(self, answers: Answers, until: int) -> None:
+        """Time and count measurements that were used up to a row, and those without all efforts."""
         self._used += until - self._counted
         if self._lacks_efforts:
             missing = np.isnan(answers.samples[self._counted : until, 2])
@@ -606,7 +606,7 @@ class SerialSensorMonitor:
             due = self._monitor.progress['next_report']
             first += int(answers.stamps[first:until].searchsorted(due))
             if first < until:
-                self._count_missing(answers, first + 1)
+                self._count_used(answers, first + 1)
                 self._report(answers, first)
 
     def _note_losses(self, stamp: int) -> None:

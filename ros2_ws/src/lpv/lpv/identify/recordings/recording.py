@@ -129,11 +129,8 @@ def clean(
         velocity = None
     measured = effort[_usable(effort)]
     if not (len(measured) and np.ptp(measured, axis=0).any()):
-        what = (
-            'efforts that never change, as of mock hardware'
-            if len(measured)
-            else ('no efforts of all joints')
-        )
+        never = 'efforts that never change, as of mock hardware'
+        what = never if len(measured) else 'no efforts of all joints'
         raise IdentificationError(
             f'{source}: has {what}; torques or currents of the motors must be recorded, too'
         )

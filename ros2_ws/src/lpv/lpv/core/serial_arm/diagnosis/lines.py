@@ -20,8 +20,8 @@ from lpv.core.serial_arm.diagnosis.sampler import (
     STAMPS,
     USUAL_JUMP,
     Sampler,
-    largest_rounding,
     learned_scale,
+    least_jump,
     smallest_jump,
 )
 from lpv.core.support.jit import njit_in_place
@@ -79,8 +79,7 @@ def is_step_between_lines(sampler: Sampler, i: int) -> bool:
     that changes at once, within one period, does not explain is beyond chance; most of it shows in
     e, lines leave little of it, and no other reading jumps.
     """
-    jump = abs(sampler.lines[LINE_JUMP, i])
-    least = sampler.smallest[i] + largest_rounding(sampler, i)
+    jump, least = abs(sampler.lines[LINE_JUMP, i]), least_jump(sampler, i)
     chance = sampler.lines[LINE_LIMIT, i] * _usual(sampler, i)
     if sampler.derived[i] == 0.0 or sampler.lines[LINE_WAIT, i] > 0.0:
         return False

@@ -299,8 +299,7 @@ def learned_scale(scale: float, e: float, count: float) -> float:
 @njit_in_place
 def smallest_jump(sampler: Sampler, i: int) -> float:
     """Size of e beyond which a reading jumps [rad]."""
-    least = sampler.smallest[i] + largest_rounding(sampler, i)
-    return float(max(JUMP_SCALE * sampler.usual[i], least))
+    return float(max(JUMP_SCALE * sampler.usual[i], least_jump(sampler, i)))
 
 
 @njit_in_place
@@ -311,9 +310,13 @@ def rounding_step(sampler: Sampler, i: int) -> float:
 
 
 @njit_in_place
-def largest_rounding(sampler: Sampler, i: int) -> float:
-    """What rounding makes of e at most [rad]: twice as much where rates are made of the reading."""
-    return float((1.0 + sampler.derived[i]) * rounding_step(sampler, i))
+def least_jump(sampler: Sampler, i: int) -> float:
+    """Size of a jump that is looked for, however quiet the reading is [rad].
+
+    It exceeds what rounding makes of e: twice as much where rates are made of the reading.
+    """
+    rounding = (1.0 + sampler.derived[i]) * rounding_step(sampler, i)
+    return float(sampler.smallest[i] + rounding)
 
 
 def block_end(block: FloatArray) -> float:
