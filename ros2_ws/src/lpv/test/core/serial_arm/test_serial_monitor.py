@@ -14,11 +14,12 @@ from lpv import Fault, load_arm
 from lpv.core.serial_arm.chain import compile_chain
 from lpv.core.serial_arm.description import Uncertainty
 from lpv.core.serial_arm.diagnosis.alarms import SensorState
-from lpv.core.serial_arm.diagnosis.bank import CONTACT_TIME
+from lpv.core.serial_arm.diagnosis.bank import CONTACT_TIME, Bank
 from lpv.core.serial_arm.diagnosis.contact import force_levers, tip_jacobians
 from lpv.core.serial_arm.diagnosis.estimator import DISTRUST
 from lpv.core.serial_arm.diagnosis.information import ROBUST, recent
 from lpv.core.serial_arm.diagnosis.lines import BEND
+from lpv.core.serial_arm.diagnosis.priors import FAULT_AT_START
 from lpv.core.serial_arm.diagnosis.published_rates import rate_lag
 from lpv.core.serial_arm.diagnosis.sampler import (
     CONTRARY,
@@ -76,6 +77,15 @@ def test_offset_from_the_start_is_named_and_measured_also_after_a_gap(joint):
         assert [(a.sensor, a.kind) for a in monitor.alarms] == [(sensor, 'bias')]
         assert monitor.alarms[0].detected < 5.0 and 0.99 < monitor.alarms[0].confidence <= 1.0
         assert monitor.estimate().fault[joint] == pytest.approx(0.5, abs=0.05)
+
+
+def test_given_an_offset_then_its_confidence_is_its_probability_beside_torques(monkeypatch):
+    odds = 5.0  # less than its evidence against a healthy arm
+    certain = odds - np.log(FAULT_AT_START)
+    monkeypatch.setattr(Bank, 'offset_against_contact', lambda *_: certain)
+    fault = Fault('encoder2', 'bias', 0.0, size=0.5)
+    (alarm,) = watched(shoulder_arm(), fault, duration=3.0).alarms
+    assert alarm.confidence == pytest.approx(1.0 / (1.0 + np.exp(-odds)))
 
 
 @RATES

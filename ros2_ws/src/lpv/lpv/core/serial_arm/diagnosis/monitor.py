@@ -861,7 +861,7 @@ class SerialMonitor:
             self._evaluate_guarantee()
             guaranteed = self.guarantee is not None and bool(self.guarantee.exceeded[i])
             sensor.unproved = not guaranteed
-            share = 1.0 - math.exp(-float(gain[i]))
+            share = 1.0 / (1.0 + math.exp(-odds))
             self._raise(i, 'bias', 0.0, fault, deviation, guaranteed, share)
         self._mark_suspects()
         return Stage.END
