@@ -31,6 +31,7 @@ class Update:
     fault: np.ndarray  # (sensors,) estimated faults of the position sensors [rad]
     bound: np.ndarray  # (sensors,) on the errors of these estimates [rad]
     threshold: np.ndarray  # (sensors,) above which a fault estimate raises an alarm [rad]
+    trustworthy: bool  # False: do not move the arm by this estimate
     states: tuple[SensorState, ...]  # of each sensor
     alarms: tuple[Alarm, ...]  # events of this measurement: raised, updated, cleared
 
@@ -44,6 +45,7 @@ class Diagnosis:
     fault: np.ndarray  # (n, sensors) estimated faults [rad]
     bound: np.ndarray  # (n, sensors) on their errors [rad]
     threshold: np.ndarray  # (n, sensors) [rad]
+    trustworthy: np.ndarray  # (n,) whether the arm may be moved by the estimate
     alarms: list[Alarm]  # events in their order
 
 
@@ -126,6 +128,7 @@ class Monitor:
             fault['estimate'],
             fault['bound'],
             fault['threshold'],
+            bool(state['trustworthy']),
             tuple(SensorState(one) for one in fault['state'].tolist()),
             tuple(answer.events),
         )
@@ -203,5 +206,6 @@ def diagnose(
         answers.fault.estimate[known],
         answers.fault.bound[known],
         answers.fault.threshold[known],
+        answers.state.trustworthy[known].astype(bool),
         [event for _, event in answers.events],
     )

@@ -89,10 +89,13 @@ def test_given_a_bag_when_diagnosed_then_estimates_are_those_that_were_recorded(
 
 
 def test_given_a_serial_arm_when_its_bag_is_diagnosed_then_the_monitor_says_the_same(tmp_path):
-    arm = lpv.load_arm(crane_file(tmp_path))
-    bag = record_crane(tmp_path / 'bag', crane_run(0.5))
+    arm, run = lpv.load_arm(crane_file(tmp_path)), crane_run(0.5)
+    run.samples[100:150, 0, 0] = np.nan  # a dropout
+    bag = record_crane(tmp_path / 'bag', run)
     diagnosis, monitor = lpv.diagnose(arm, None, bag), lpv.Monitor(arm)
     samples = lpv.read_bag(bag, arm)
     updates = [monitor.update(s.stamp, s.position, s.velocity, s.effort) for s in samples]
     np.testing.assert_array_equal(diagnosis.fault, [update.fault for update in updates])
     np.testing.assert_array_equal(diagnosis.position, [update.position for update in updates])
+    np.testing.assert_array_equal(diagnosis.trustworthy, [one.trustworthy for one in updates])
+    assert diagnosis.trustworthy[50] and not diagnosis.trustworthy[140]
