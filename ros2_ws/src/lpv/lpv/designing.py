@@ -4,6 +4,7 @@ from pathlib import Path
 
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.uio.certificate.gains import Gains
+from lpv.core.uio.planar import planar_model
 
 
 def design(arm: SerialArm, requirement: str | Path | None = None) -> Gains:
@@ -29,8 +30,9 @@ def design(arm: SerialArm, requirement: str | Path | None = None) -> Gains:
     InfeasibleError
         If the inequalities do not hold.
     ConfigError
-        If there is no such requirement, or a field of it is wrong.
+        If the arm has no ``lpv`` region, there is no such requirement, or a field of it is wrong.
     """
+    planar_model(arm)  # without a region, its name is no requirement's either
     # Only here: the solver takes a second to be imported, and most scripts need none.
     from lpv_design.design_flow import design
     from lpv_design.requirement import load_requirement

@@ -38,6 +38,11 @@ def test_given_what_cannot_be_simulated_then_it_is_named(field, change):
     pytest.raises(lpv.ConfigError, lpv.simulate, *given).match(f'^{field}: must be')
 
 
+def test_given_an_arm_without_a_region_when_gains_are_designed_then_it_needs_none():
+    told = 'ur10: lpv: is missing: gains are designed for its region, arms without one need none'
+    pytest.raises(lpv.ConfigError, lpv.design, lpv.load_arm('ur10')).match(told)
+
+
 @pytest.mark.parametrize(('field', 'value', 'told'), [
     ('sigmas', np.nan, 'must be finite'), ('hours_between_false_alarms', 0, 'must lie within'),
     ('safe_stop_bound', -1.0, 'must lie within'), ('latch', 3, 'must be true or false'),

@@ -36,7 +36,8 @@ def planar_model(arm: SerialArm) -> ArmParameters:
     """
     region = arm.lpv
     if region is None:
-        raise ConfigError('lpv', 'is missing: gains are designed for its region', arm.name)
+        reason = 'is missing: gains are designed for its region, arms without one need none'
+        raise ConfigError('lpv', reason, arm.name)
     across, links, first = _geometry(arm)
     sensors = [joint.sensors for joint in arm.joints]
     friction: dict[str, Any] = {
