@@ -242,6 +242,7 @@ MISTAKES = [
     (given('subscriptions', JOINTS, [TEXTS]), 'qos', 'JointState and std_msgs/msg/String'),
     (sent(stamps=[]), 'measurements', '/lpv/joint_states is silent'),
     (sent(names=('shoulder', 'elbow')), 'joints', r"of other joints: \['shoulder'"),
+    (sent(names=('joint1', 'finger')), 'joints', "'joint2' occurs 0.*one message carry all"),
     (sent(effort=()), 'efforts', '50 of 50 messages carry no effort'),
     (sent(velocity=()), 'values', '50 messages not used: velocity has 0 values for 2 joints'),
     (sent(velocity=(float('nan'), 0.0)), 'values', 'that are not numbers'),

@@ -121,8 +121,9 @@ def check_use(seen: Heard) -> Finding | None:
         return error('values', f'{seen.topic}: {count} messages not used: {reason}', remedy)
     if len(seen.stamps):
         return None
-    remedy = 'put the names of the driver into the arm file (and design its gains again), or '
-    return error('joints', f'{seen.topic}: {seen.others}', remedy + 'correct the driver')
+    remedy = 'let one message carry all joints of the arm, by the names of the arm file, or put '
+    remedy += 'those of the driver into that (and design its gains again)'
+    return error('joints', f'{seen.topic}: {seen.others}', remedy)
 
 
 def check_efforts(seen: Heard, shot: Any) -> Finding | None:
