@@ -190,7 +190,9 @@ class UioNode(ManagedNode):
             answer = self._monitor.take(stamp, message, self._known_torque())
         except SampleError as error:
             there = len({*self._arm.joint_names}.intersection(message.name))
-            if self._answered is None or there:  # a gripper may share the topic
+            # Others may share the topic, a gripper or another arm, and be heard first.
+            waits = bool(message.name) and not (self.lockstep or self._silence_reports)
+            if there or (self._answered is None and not waits):
                 topic = self.resolve_topic_name('joint_states')
                 self.get_logger().error(f'{topic}: {error}', throttle_duration_sec=5.0)
                 is_part = 0 < there < len(self._arm.joint_names)

@@ -234,6 +234,15 @@ def test_given_a_driver_that_names_no_joints_at_first_when_it_does_then_they_are
         assert arm.recover() <= RECOVERY and arm.state.last.mode < int(Mode.STALE)
 
 
+def test_given_other_joints_first_then_they_are_no_error_unless_the_arm_stays_away():
+    with node_of(UioNode, arm_file='paper') as node:
+        gripper = JointState(name=['finger'], position=[0.0])
+        for reports, counts in ((0, {}), (1, {'measurement that does not fit the arm': 1})):
+            node._silence_reports = reports
+            node._on_measurement(gripper)
+            assert node._refusals.counts == counts
+
+
 @pytest.mark.parametrize('count', [40, 240])  # a driver's burst; during a decision of 0.48 s
 def test_given_many_measurements_at_once_when_observed_then_each_is_answered(arm, count):
     arm.node.begin()
