@@ -5,9 +5,13 @@ from rclpy.qos import QoSProfile
 from lpv.bag.rosbag.live import DEEPEST, ros_qos
 
 
-def stream(lockstep: bool, depth: int = 5) -> QoSProfile:
-    """QoS of measurements and commands: best effort in real time, where old ones mislead."""
-    return ros_qos(lockstep, False, DEEPEST if lockstep else depth)
+def stream(lockstep: bool, depth: int = 5, reliable: bool = False) -> QoSProfile:
+    """QoS of measurements and commands: best effort in real time, where old ones mislead.
+
+    Publishers for other packages are ``reliable``: subscriptions that ask for it, as by default,
+    receive nothing else.
+    """
+    return ros_qos(lockstep or reliable, False, DEEPEST if lockstep else depth)
 
 
 def latched() -> QoSProfile:

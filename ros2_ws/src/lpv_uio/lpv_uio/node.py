@@ -108,7 +108,9 @@ class UioNode(ManagedNode):
         qos = stream(self.lockstep)
         self._state_out = self.create_publisher(StateEstimate, 'state_estimate', qos)
         self._fault_out = self.create_publisher(FaultEstimate, 'fault_estimate', qos)
-        self._corrected_out = self.create_publisher(JointState, 'joint_states_corrected', qos)
+        self._corrected_out = self.create_publisher(
+            JointState, 'joint_states_corrected', stream(self.lockstep, reliable=True)
+        )
         self._alarm_out = self.create_publisher(FaultAlarm, 'fault_alarm', latched())
         self._diagnostics_out = self.create_publisher(DiagnosticArray, '/diagnostics', 10)
         self._status = StatusReporter(self, 'measurements', self._arm.name)

@@ -11,6 +11,7 @@ from bags import contents, write_bag
 from diagnostic_msgs.msg import DiagnosticArray
 from hostile import RECOVERY, Output, Refused, forge, node_of, run_cases, set_parameters
 from rclpy.parameter import Parameter
+from rclpy.qos import QoSCompatibility, QoSProfile, qos_check_compatible
 from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import JointState
 from serial_bags import TOPIC, crane_file, crane_run, record_crane
@@ -232,6 +233,12 @@ def test_given_a_driver_that_names_no_joints_at_first_when_it_does_then_they_are
             node._on_measurement(JointState())
         assert node._refusals.counts == {'measurement that does not fit the arm': 2}
         assert arm.recover() <= RECOVERY and arm.state.last.mode < int(Mode.STALE)
+
+
+def test_given_a_subscription_of_default_qos_then_corrected_joint_states_reach_it():
+    with node_of(UioNode, arm_file='paper') as node:
+        offered, asked = node._corrected_out.qos_profile, QoSProfile(depth=10)
+        assert qos_check_compatible(offered, asked)[0] != QoSCompatibility.ERROR
 
 
 def test_given_other_joints_first_then_they_are_no_error_unless_the_arm_stays_away():
