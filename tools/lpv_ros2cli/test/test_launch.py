@@ -73,6 +73,13 @@ def test_given_arguments_when_launched_then_they_are_forwarded_to_every_node(tmp
     assert {values[n]['await_recorders'] for n in ('tracker', 'simulator', 'uio')} == {1}
 
 
+def test_given_a_bag_that_is_played_when_launched_then_the_observer_takes_its_time():
+    for told in (False, True):
+        given = {'use_sim_time': 'true'} if told else {}
+        found = programs(FILES['observer'], arm_file='my_arm.yaml', **given)
+        assert parameters(found['uio'])['use_sim_time'] is told
+
+
 @pytest.mark.parametrize('chosen', [None, 'SUBNET'])
 @pytest.mark.parametrize('name', ['pipeline', 'observer'])
 def test_given_no_range_when_launched_then_nodes_stay_on_this_machine(monkeypatch, name, chosen):
