@@ -3,10 +3,8 @@
 import math
 from collections import deque
 from collections.abc import Sequence
-from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
-from rcl_interfaces.msg import SetParametersResult
 from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
 from rclpy.subscription import Subscription
@@ -76,7 +74,7 @@ class UioNode(ManagedNode):
         self._alarms: OpenAlarms | None = None
         declare_given(self, 'gains')
         self._measurement_in: Subscription | None = None
-        self.add_on_set_parameters_callback(self._retune)
+        self.add_post_set_parameters_callback(self._retune)
 
     def setup(self) -> None:
         """Read arm and gains, create publishers."""
@@ -127,7 +125,7 @@ class UioNode(ManagedNode):
         return SerialSensorMonitor(
             self.get_fully_qualified_name(),
             self._arm,
-            self._diagnosis_parameters({}),
+            self._diagnosis_parameters(),
             gains,
             self.get_parameter('observer').value,
             max_gap=self.get_parameter('max_gap').value,
@@ -361,12 +359,10 @@ class UioNode(ManagedNode):
             self._alarms.forget()
         return 'observer and alarms restart'
 
-    def _diagnosis_parameters(self, changed: dict[str, Any]) -> DiagnosisParameters:
-        values = {one.name: self.get_parameter(one.name).value for one in TUNABLE} | changed
+    def _diagnosis_parameters(self) -> DiagnosisParameters:
+        values = {one.name: self.get_parameter(one.name).value for one in TUNABLE}
         return DiagnosisParameters(**{k.partition('.')[2]: v for k, v in values.items()})
 
-    def _retune(self, parameters: list[Parameter]) -> SetParametersResult:
-        changed = {p.name: p.value for p in parameters if p.name.startswith('diagnosis.')}
-        if changed and hasattr(self, '_monitor'):
-            self._monitor.retune(self._diagnosis_parameters(changed))
-        return SetParametersResult(successful=True)
+    def _retune(self, parameters: list[Parameter]) -> None:
+        if any(p.name.startswith('diagnosis.') for p in parameters) and hasattr(self, '_monitor'):
+            self._monitor.retune(self._diagnosis_parameters())

@@ -10,6 +10,7 @@ from bag_messages import JOINT_STATE
 from bags import contents, write_bag
 from diagnostic_msgs.msg import DiagnosticArray
 from hostile import RECOVERY, Output, Refused, forge, node_of, run_cases, set_parameters
+from rcl_interfaces.msg import SetParametersResult
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSCompatibility, QoSProfile, qos_check_compatible
 from rclpy.serialization import deserialize_message, serialize_message
@@ -525,6 +526,14 @@ def test_given_numbers_that_are_nan_when_put_into_messages_then_they_are_not_tru
     )
     assert (first.kind, first.size, first.bound) == ('bias', 0.3, 0.01)
     assert (second.kind, second.size, second.bound) == ('drift', 0.0, np.inf)
+
+
+def test_given_a_change_that_another_callback_refuses_then_the_diagnosis_goes_on_as_it_was():
+    with node_of(UioNode, arm_file='paper') as node:
+        refused = SetParametersResult(successful=False)
+        node._on_set_parameters_callbacks.append(lambda _: refused)  # the last to be asked
+        node.set_parameters([Parameter('diagnosis.sigmas', value=5.0)])
+        assert node._monitor._monitor.settings.sigmas == 4.0
 
 
 def test_given_a_running_node_when_tuned_then_its_log_says_so_and_not_what_is_refused(capfd):
