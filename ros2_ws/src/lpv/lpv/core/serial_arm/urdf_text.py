@@ -55,7 +55,7 @@ class _Builder(ElementTree.TreeBuilder):
         if self._depth > MAX_DEPTH:
             raise ValueError(f'elements are nested more than {MAX_DEPTH} deep')
         if tag.startswith('xacro:'):  # which may stand for links
-            raise ValueError(f'{tag[:100]}: xacro must expand the file first')
+            raise ValueError(f'{tag[:100]}: expand it first, by xacro FILE > FILE.urdf')
         return super().start(tag, attrs)
 
     def end(self, tag: str) -> ElementTree.Element:

@@ -133,7 +133,7 @@ NO_ARM = {
     'missing ixy .*Link .one': ('ixy="0.001"', ''),
     'found 2 elements .*Link .two': ('<origin xyz="0 0.2 0"/>', '<origin xyz="0 0.2"/>'),
     "'pan' .* name the link at": (END, BRANCH, {'finger': 0.02}),
-    'xacro:hand: xacro must expand': (END, f'<xacro:hand parent="two"/>{END}'),
+    'xacro:hand: expand it first, by xacro FILE': (END, f'<xacro:hand parent="two"/>{END}'),
     "no link 'hand'": (END, BRANCH, {}, 'hand'),
 }
 
