@@ -151,6 +151,14 @@ def test_given_a_launch_file_when_read_then_what_it_starts_exists(path):
         assert (BRINGUP / place).exists() or place == 'config/', place
 
 
+def test_given_nodes_in_any_namespace_when_diagnostics_are_grouped_then_each_is_in_a_group():
+    given = yaml.safe_load((BRINGUP / 'config' / 'diagnostic_aggregator.yaml').read_text())
+    groups = [one for one in given['/**']['ros__parameters'].values() if isinstance(one, dict)]
+    for node in ('uio', 'tracker', 'arm_sim', 'recorder', 'view'):
+        status = f'/cell/left/{node}: part'
+        assert sum(part in status for one in groups for part in one['contains']) == 1
+
+
 def test_given_the_parameter_files_when_read_then_the_defaults_are_those_of_the_code():
     choices = re.search(r'--compensation {(.*?)}', COMMANDS['demo'])[1]
     assert set(choices.split(',')) == set(COMPENSATION)
