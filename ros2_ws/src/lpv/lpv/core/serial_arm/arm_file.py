@@ -55,6 +55,8 @@ def load_arm(path: str | Path) -> SerialArm:
     ConfigError
         If a field is missing, unknown, of the wrong type or out of range; it names the field.
     """
+    if Path(path).suffix in ('.urdf', '.xacro'):
+        raise ConfigError('arm', 'is a URDF: lpv init --urdf makes an arm file of it', str(path))
     return parse_arm(read_yaml(path), str(path), Path(path).parent)
 
 

@@ -90,6 +90,12 @@ def test_friction_of_the_urdf_counts_where_the_file_of_the_arm_says_none(small, 
         assert load_arm(tmp_path / 'arm.yaml').joints[0].friction.viscous == viscous
 
 
+def test_given_a_urdf_in_place_of_an_arm_file_then_it_is_said_what_makes_one_of_it(small, tmp_path):
+    small()
+    with pytest.raises(ConfigError, match='small.urdf: arm: is a URDF: lpv init --urdf makes'):
+        load_arm(tmp_path / 'small.urdf')
+
+
 def test_base_on_the_wall_turns_gravity_and_a_fixed_joint_before_the_base_the_arm(small):
     chain = compile_chain(replace(small(), base_orientation=(0.0, np.pi / 2, 0.0)))
     np.testing.assert_allclose(chain.gravity, [9.81, 0.0, 0.0], atol=1e-12)
