@@ -283,6 +283,9 @@ def test_given_a_mistake_in_a_graph_when_checked_then_it_alone_is_found(shot, sp
 def test_given_another_arm_or_nothing_when_checked_then_it_is_said(shot, paper_arm, real_arm):
     assert graph.running_arm(shot) == paper_arm
     assert found(graph.check_graph(shot, real_arm)) == ['gains in use']
+    shot.parameters['/right/uio'] = {'arm_file': 'ur10'}
+    (beside,) = (one for one in graph.check_graph(shot) if one.check == 'arm')
+    assert beside.text.startswith("'paper' alone is checked; --arm names another one of ")
     (nothing,) = graph.check_graph(Snapshot())  # no word of what there is not
     assert found([nothing]) == ['nodes']
     assert found(graph.check_graph(Snapshot(), alone=False)) == []

@@ -23,7 +23,9 @@ def check_graph(shot: Snapshot, arm: SerialArm | None = None, alone: bool = True
     found = [check_anybody(shot, alone)]
     if not shot.ours() and not shot.measured:
         return found
-    arm = arm or running_arm(shot)
+    if arm is None:
+        arm = running_arm(shot)
+        found += _arms(shot, arm)
     for check, name, text in (
         (_states, 'lifecycle', f'{len(shot.states)} nodes are active'),
         (_names, 'names', 'no name is used twice'),
@@ -45,6 +47,14 @@ def running_arm(shot: Snapshot) -> SerialArm | None:
         except (KeyError, TypeError, LpvError):
             continue  # a node of another machine, or one that could not read it either
     return None
+
+
+def _arms(shot: Snapshot, arm: SerialArm | None) -> Iterator[Finding]:
+    """Of several arms in the graph the one whose measurements are checked."""
+    files = {values.get('arm_file') for values in shot.parameters.values()} - {None, ''}
+    if arm is not None and len(files) > 1:
+        others = ', '.join(sorted(map(str, files)))
+        yield ok('arm', f'{arm.name!r} alone is checked; --arm names another one of {others}')
 
 
 def check_anybody(shot: Snapshot, alone: bool) -> Finding:
