@@ -1,5 +1,6 @@
 """Alarm events and counters of samples in the words of an operator."""
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
 
@@ -26,6 +27,8 @@ _KINDS = {
 }
 _CERTAIN = 0.9995
 """Confidence from which on only a lower limit is given: with one digit, it is 100.0 %."""
+_OF_MANY = re.compile(r's\b')
+"""End of the first plural of what is counted."""
 UNUSABLE = 'no measurement can be used'
 ALMOST_ALL = (0.01, 0.99)
 """Quantiles of positions for `other_unit`: single readings may be anything."""
@@ -66,7 +69,8 @@ UNUSED = 'out_of_order', 'refused_stamps', 'not_finite', 'implausible', 'unread'
 def count_texts(counters: SampleCounters) -> list[str]:
     """What was wrong with samples, and how often."""
     counted = ((getattr(counters, one.name), one.metadata['text']) for one in fields(counters))
-    return [f'{count} {text}' for count, text in counted if count]
+    return [f'{count} {text if count > 1 else _OF_MANY.sub("", text, 1)}'
+            for count, text in counted if count]  # fmt: skip
 
 
 def unusable_text(counters: SampleCounters) -> str:

@@ -340,3 +340,12 @@ def test_given_a_jump_while_samples_are_lost_then_it_is_not_guaranteed(lost, gua
     monitor.take(10**9 + round(arm.sample_time * 1e9) * count, samples)
     (alarm,) = monitor.alarms
     assert (alarm.kind, alarm.guaranteed) == ('bias', guaranteed)
+
+
+def test_given_counts_of_samples_when_told_then_one_is_no_plural():
+    counters = alarm_text.SampleCounters(duplicates=1, restarts=1, gaps=2)
+    assert alarm_text.count_texts(counters) == [
+        '1 measurement with the stamp of the one before, ignored',
+        '1 restart: the clock was set, or no measurement came for more than 1 s',
+        '2 interruptions after which the balances begin anew',
+    ]
