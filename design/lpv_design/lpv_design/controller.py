@@ -26,6 +26,7 @@ from lpv.core.uio.certificate.sampled_motion import (
     SampledLoop,
     sampled_loop,
 )
+from lpv_design.corner_lyapunov import corner_lyapunov
 from lpv_design.solve import RESERVE, InfeasibleError, run, solve, symmetric_below
 
 _RATES = (0.5, 0.25, 0.0)
@@ -75,7 +76,10 @@ def design_controller(
             f'{margin:.3g}); without torques the arm leaves a pose by up to {away:.2g}/s: ask for '
             'a smaller alpha, a larger fastest pole or a smaller region'
         )
-    motion = certify_motion(arm, loop, m, wanted.alpha) if method == 'exact' else None
+    motion = None
+    if method == 'exact':
+        p = corner_lyapunov(arm, loop, m, p, wanted.alpha)
+        motion = certify_motion(arm, loop, m, wanted.alpha)
     return ControllerGains(method, m[:, :4], m[:, 4:], p, wanted.alpha, sinc_min, motion), status
 
 

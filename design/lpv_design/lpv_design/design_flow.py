@@ -27,9 +27,9 @@ _SLOWER_LOOPS = ((_POLE_LIMIT, 1.0), (0.8, 2.0), (0.8, 4.0))
 """What is tried for the controller where the sample time limits it: fastest pole times sample time,
 and the divisor of alpha.  The certificate's sampled loop with delay decides."""
 _HINTS = {
-    'sampled': 'ask for a smaller fastest pole, or sample faster',
     'arms at the corners': 'the loop does not carry the stated model error and payload; '
-    'ask for a smaller alpha, or state a smaller error',
+    'state less of both, or ask for a smaller alpha',
+    'sampled': 'ask for a smaller fastest pole, or sample faster',
     'real poles': 'ask for a slower decay or a larger fastest pole',
 }
 """What helps where an inequality of such a name fails."""

@@ -21,6 +21,7 @@ from lpv.core.uio.model.polytope import paper_descriptor, sinc_box, vertex_matri
 from lpv.core.uio.observer.paper_observer import decoupling
 from lpv.identify.estimation.assembly import with_joint_values
 from lpv_design import controller, design_flow, exact_observer, serial_loop
+from lpv_design.corner_lyapunov import corner_lyapunov
 from lpv_design.paper_observer import PaperRequirement, solve_paper, undetectable_point
 from lpv_design.requirement import load_requirement
 from lpv_design.solve import InfeasibleError, solve, symmetric_below
@@ -248,6 +249,25 @@ def test_given_too_large_a_sample_time_when_designed_then_the_loop_is_limited(pa
     cause = r'leaves a pose by up to 6.4/s: .*; controller: poles .* time 0.05 s cannot carry'
     with pytest.raises(InfeasibleError, match=cause):
         design_flow.design(replace(paper_arm, sample_time=0.05), requirement)
+
+
+def test_given_a_payload_that_the_designs_lyapunov_matrix_misses_then_another_carries_it(
+    paper_model,
+):
+    arm, wanted = replace(paper_model, payload=1.0), load_requirement('paper').controller
+    loop = conditions.controller_loop(arm, 'exact')
+    m, p, _ = controller.solve_loop(arm, loop, wanted)
+
+    def margin(lyapunov):
+        loops = [conditions.controller_loop(one, 'exact') for one in conditions.corner_arms(arm)]
+        return max(conditions.decay_margin(one, m, lyapunov, 0.5 * wanted.alpha) for one in loops)
+
+    assert margin(p) > 0.0
+    gains, _ = controller.design_controller(arm, wanted)
+    assert margin(gains.lyapunov) < 0.0
+    assert all(check.holds for check in conditions.controller_checks(arm, gains))
+    light = replace(arm, payload=0.0)
+    assert corner_lyapunov(light, loop, m, p, wanted.alpha) is p  # where it carries all, it stays
 
 
 @pytest.mark.parametrize('part', ['observer, link 1', 'observer', 'controller'])
