@@ -57,6 +57,7 @@ def design(arm: SerialArm, requirement: Requirement) -> DesignResult:
         If the arm is not planar, or states no region.
     """
     planar = planar_model(arm)
+    _check_gravity(planar)
     for option, notes in within_sampling(planar, requirement):
         try:
             gains, checks = _design_once(arm, option)
@@ -82,6 +83,17 @@ def design(arm: SerialArm, requirement: Requirement) -> DesignResult:
     return DesignResult(
         gains, [*notes, *check_lines(checks), *_bound_lines(planar, gains, found)], found
     )
+
+
+def _check_gravity(arm: ArmParameters) -> None:
+    """NotDetectableError for a joint whose load has no weight in front of it."""
+    for name, torque in zip(arm.joint_names, arm.numbers().gravity):
+        if not torque > 0.0:
+            raise NotDetectableError(
+                f'lpv: the centre of mass of what {name!r} carries is not in front of the joint '
+                f'(gravity torque {torque:.3g} N m), by which alone designed gains tell an angle '
+                'from an error; leave lpv out: diagnosis and computed torque do without it'
+            )
 
 
 def _design_once(arm: SerialArm, requirement: Requirement) -> tuple[Gains, list[Check]]:
@@ -122,7 +134,9 @@ def within_sampling(
     options, asked = [], controller.fastest
     for share, slower in _SLOWER_LOOPS:
         fastest, alpha = min(share / arm.sample_time, asked), controller.alpha / slower
-        lines = [*notes, _limited('controller', 'alpha', alpha, asked, fastest, arm)]
+        lines = list(notes)
+        if fastest < asked:
+            lines.append(_limited('controller', 'alpha', alpha, asked, fastest, arm))
         if slower > 1.0:
             lines.append(f'controller: alpha {alpha:g}/s instead of {controller.alpha:g}/s')
         limited = replace(controller, fastest=fastest, alpha=alpha)

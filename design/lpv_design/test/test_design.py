@@ -24,7 +24,7 @@ from lpv_design import controller, design_flow, exact_observer, serial_loop
 from lpv_design.corner_lyapunov import corner_lyapunov
 from lpv_design.paper_observer import PaperRequirement, solve_paper, undetectable_point
 from lpv_design.requirement import load_requirement
-from lpv_design.solve import InfeasibleError, solve, symmetric_below
+from lpv_design.solve import InfeasibleError, NotDetectableError, solve, symmetric_below
 
 PUBLISHED = np.array([
     [-4426.747411, -0.001668, -420.832109, -0.000786, 13268.9910017, -0.0171864],
@@ -268,6 +268,29 @@ def test_given_a_payload_that_the_designs_lyapunov_matrix_misses_then_another_ca
     assert all(check.holds for check in conditions.controller_checks(arm, gains))
     light = replace(arm, payload=0.0)
     assert corner_lyapunov(light, loop, m, p, wanted.alpha) is p  # where it carries all, it stays
+
+
+@pytest.mark.parametrize(
+    ('joint', 'centers'), [(1, (0.5, 0.0)), (1, (0.5, -0.2)), (0, (-1.5, 0.5))]
+)
+@pytest.mark.parametrize('requirement', ['paper', 'paper_literal'])
+def test_given_no_weight_in_front_of_a_joint_when_designed_then_it_is_told(
+    paper_model, joint, centers, requirement
+):
+    links = [replace(one, center_of_mass=c) for one, c in zip(paper_model.links, centers)]
+    arm = two_link_arm(replace(paper_model, links=tuple(links)))
+    with pytest.raises(NotDetectableError, match=f"'joint{joint + 1}' .* leave lpv out"):
+        design_flow.design(arm, load_requirement(requirement))
+
+
+def test_given_a_sample_time_that_slows_a_loop_alone_then_no_pole_is_said_to_be_limited(
+    paper_model,
+):
+    slow = replace(paper_model, sample_time=0.007)
+    tried = design_flow.within_sampling(slow, load_requirement('paper'))
+    assert [len(lines) for _, lines in tried] == [1, 1, 1]
+    assert 'poles up to 64.3/s instead of 100/s' in tried[0][1][0]
+    assert tried[1][1] == ['controller: alpha 1/s instead of 2/s']
 
 
 @pytest.mark.parametrize('part', ['observer, link 1', 'observer', 'controller'])

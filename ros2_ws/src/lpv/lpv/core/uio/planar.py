@@ -131,7 +131,9 @@ def plane_of(arm: SerialArm) -> tuple[FloatArray, FloatArray]:
 
 
 def _not_planar(arm: SerialArm, reason: str) -> ConfigError:
-    return ConfigError('lpv', f'is for planar arms of two links: {reason}', arm.name)
+    return ConfigError(
+        'lpv', f'is for planar arms of two links: {reason}; others leave it out', arm.name
+    )
 
 
 def is_planar(arm: SerialArm) -> bool:
