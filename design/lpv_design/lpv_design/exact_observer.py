@@ -50,12 +50,16 @@ class ExactRequirement:
 
 
 @lru_cache(maxsize=16)
-def _link_problem(decay: float, fastest: float, weight: float) -> tuple[Any, ...]:
+def _link_problem(
+    decay: float, fastest: float, weight: float, gain: tuple[float, float] | None = None
+) -> tuple[Any, ...]:
     """The inequalities of one link with a requirement's figures, compiled once.
 
-    Returns the problem, parameters of slopes and of noises, P and Y.
+    Returns the problem, parameters of slopes and of noises, P and Y; with a ``gain`` -L that is
+    given, P alone is sought.
     """
-    p, y = cp.Variable((2, 2), symmetric=True), cp.Variable((2, 1))
+    p = cp.Variable((2, 2), symmetric=True)
+    y = cp.Variable((2, 1)) if gain is None else -p @ np.array(gain)[:, None]
     w = cp.Variable((2, 2), symmetric=True)
     # An optimum lies on the border of what is asked; ask for more than is to be certified.
     slowest, fastest = (1.0 + RESERVE) * decay, (1.0 - RESERVE) * fastest
@@ -81,20 +85,35 @@ def solve_link(link: LinkError, wanted: ExactRequirement) -> tuple[Any, ...]:
     noises = np.array(link.noises(wanted.acceleration_noise, wanted.rate_noise))
     noises = noises / np.array([[1.0], [rate], [1.0]]) / math.sqrt(rate)
     size = float(np.linalg.norm(noises, axis=2).max())
-    problem, slopes, parameters, p, y = _link_problem(
-        wanted.decay / rate, wanted.fastest / rate, wanted.velocity_weight * rate
-    )
-    for slope, value in zip(slopes, link.slopes):
-        slope.value = value / link.inertia / rate**2
-    for parameter, noise in zip(parameters, noises):
-        parameter.value = noise / size
-    status = run(problem)
-    if p.value is None or y.value is None:
+    slopes = [slope / link.inertia / rate**2 for slope in link.slopes]
+    figures = wanted.decay / rate, wanted.fastest / rate, wanted.velocity_weight * rate
+    p, gain, status = _run_link(figures, slopes, noises / size)
+    if p is not None and 4.0 * gain[0] * slopes[1] >= gain[1] ** 2:
+        # Poles of steep slopes may be complex, which no inequality in P and Y forbids: as much of
+        # the injection as leaves them real.
+        real = (1.0 - RESERVE) * gain[1] ** 2 / (4.0 * slopes[1]), gain[1]
+        p, gain, status = _run_link(figures, slopes, noises / size, real)
+    if p is None:
         return None, None, None, status
-    gain = -np.linalg.solve(p.value, y.value)[:, 0]
     scale = np.diag([1.0, 1.0 / rate]) * link.unit / size
     # The second state is m/Xi_ii.
-    return float(gain[0] / link.inertia), float(gain[1] * rate), scale @ p.value @ scale, status
+    return float(gain[0] / link.inertia), float(gain[1] * rate), scale @ p @ scale, status
+
+
+def _run_link(
+    figures: tuple[float, ...],
+    slopes: list[float],
+    noises: np.ndarray,
+    given: tuple[float, float] | None = None,
+) -> tuple[Any, ...]:
+    """P, the gain -L, found or given, and the solver's word; no P where it found none."""
+    problem, *parameters, p, y = _link_problem(*figures, given)
+    for parameter, value in zip([*parameters[0], *parameters[1]], [*slopes, *noises]):
+        parameter.value = value
+    status = run(problem)
+    if p.value is None or y.value is None:
+        return None, None, status
+    return p.value, tuple((-np.linalg.solve(p.value, y.value)[:, 0]).tolist()), status
 
 
 def torque_gains(arm: ArmParameters) -> list[float]:

@@ -219,6 +219,17 @@ def test_given_a_large_region_when_designed_at_decay_2_then_it_is_certified(pape
     assert observer_margin(sampled, observer) < 0.0
 
 
+@pytest.mark.parametrize(('noise', 'cos_min'), [(0.3, 0.3), (0.3, 0.8), (1.0, 0.3)])
+def test_given_noisy_rates_when_designed_then_poles_are_real(paper_model, noise, cos_min):
+    """Where the least covariance would make those of steep slopes complex."""
+    arm = replace(paper_model, velocity_noise=noise, cos_min=(cos_min, cos_min), sample_time=0.008)
+    wanted = replace(load_requirement('paper').observer, fastest=55.0)
+    observer, _ = exact_observer.design_exact(arm, wanted)
+    damping = 4.0 * observer.kappa * arm.constants().gravity / observer.mu**2
+    assert 0.9 < damping.max() < 1.0
+    assert observer_margin(arm, observer) < 0.0
+
+
 def test_given_any_slope_when_tried_then_poles_and_deviation_are_as_certified(planar):
     observer, wanted = designed(planar.name).observer, load_requirement(planar.name).observer
     for link, p in zip(error_system.link_errors(planar), observer.lyapunov):
