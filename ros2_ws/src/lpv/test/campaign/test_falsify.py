@@ -160,6 +160,14 @@ def test_given_a_short_search_when_run_then_it_comes_near_and_never_across(arm, 
     assert 0.4 < found[0].ratio < 1.0 and not any(one.blamed for one in found)
 
 
+def test_given_an_arm_whose_horizon_knows_little_then_its_designed_bounds_are_judged(
+    real_arm, real_gains
+):
+    attacker = Attacker(real_arm, 0.2, real_gains)
+    finding = attacker.run(attacker.attack(np.zeros(attacker.numbers), 1))
+    assert np.all((finding.ratios > 0.0) & (finding.ratios < 1.0))
+
+
 def planar_attacker(arm, gains, duration, velocity_error=0.0, **changes):
     """Attacker of a planar arm that is its model, without disturbance and, nearly, noise."""
     lpv = replace(arm.lpv, disturbance_mean=0.0, disturbance_variance=0.0)

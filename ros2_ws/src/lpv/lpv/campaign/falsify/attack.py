@@ -315,9 +315,10 @@ class _DesignedRange:
     ) -> tuple[FloatArray, FloatArray, FloatArray, bool]:
         self._monitor.reset()
         answers = self._monitor.take_many(stamps, *np.ascontiguousarray(samples.swapaxes(0, 1)))
-        # The bound is the threshold without its floor.
+        # The bound is the threshold without its floor.  That the horizon learns little of an arm,
+        # and calls its offsets not diagnosable, takes nothing from what the bound says.
         state, threshold = np.asarray(answers.fault.state), np.array(answers.fault.bound)
-        judged = answers.has_fault[:, None] & (state <= int(SensorState.ERROR))
+        judged = answers.has_fault[:, None] & (state != int(SensorState.STALE))
         judged &= (threshold > 0.0) & (threshold < _WIDEST)
         ratio = np.abs(answers.fault.estimate) / np.where(judged, threshold, np.inf)
         row, both = ratio.argmax(axis=0), np.arange(2)
