@@ -81,6 +81,8 @@ def uio_step(
         _start_again(state)
         return
     state.valid = True
+    if observer.bridged:  # faults may have begun in the gap as before the start
+        _doubt_readings(state)
     if state.left > 0.0 and not (observer.held[0] or observer.held[1]):
         state.left *= math.exp(-params.bound.decay * observer.interval)
     update_bound(params.bound, state.bound, observer)
@@ -90,7 +92,14 @@ def uio_step(
 def _start_again(state: np.record) -> None:
     """Without an estimate; the next one takes the readings for right."""
     reset_bound(state.bound)
-    state.valid = state.alarmed = False
+    state.valid = False
+    _doubt_readings(state)
+
+
+@njit
+def _doubt_readings(state: np.record) -> None:
+    """From here on they may be wrong by what the horizon leaves possible."""
+    state.alarmed = False
     state.initial[:], state.left = np.inf, 1.0
 
 
@@ -121,11 +130,12 @@ def uio_answers(
             uio_step(params, state, stamps[k], position, velocity, samples[k, 2])
         else:  # as if there were no sample
             state.valid = False
-        # By the horizon, while no alarm says that others have come or gone since the start.
+        # By the horizon, at first and while no alarm says that others have come or gone since.
         state.alarmed |= rows.alarm[row, 0] or rows.alarm[row, 1]
-        for i in range(0 if state.alarmed else 2):
-            most = abs(rows.estimate[row, i]) + rows.bound[row, i]
-            state.initial[i] = min(state.initial[i], most)
+        for i in range(2):
+            if not (state.alarmed and math.isfinite(state.initial[i])):
+                most = abs(rows.estimate[row, i]) + rows.bound[row, i]
+                state.initial[i] = min(state.initial[i], most)
         if state.valid and params.choice != _HORIZON:
             _tighten(params, state, rows, row)
 

@@ -70,6 +70,36 @@ def test_given_no_efforts_for_long_then_it_begins_anew(paper_arm, paper_gains, o
     np.testing.assert_allclose(found.fault.bound[-1], whole.fault.bound[-1], rtol=0.5)
 
 
+def with_gap(run):
+    """A run whose samples around 3 s are missing for longer than max_gap; which are left."""
+    kept = np.abs(run.time - 3.0) > 0.06
+    names = 'time', 'measured', 'measured_velocity', 'effort'
+    return replace(run, **{name: getattr(run, name)[kept] for name in names}), kept
+
+
+def test_given_a_fault_that_begins_in_a_long_gap_then_bounds_hold_it(
+    paper_arm, paper_gains, observed
+):
+    """The angles go on by the encoders' increments, and the observer's set knows nothing of it."""
+    run, _ = observed('uio', faults=(Fault('link2_angle', 'bias', 3.0, size=0.5),))
+    left, kept = with_gap(run)
+    (found,) = answers(left, paper_arm, paper_gains, 'tightest')
+    wrong = np.abs(found.fault.estimate - run.fault[kept])
+    assert np.all(wrong <= found.fault.bound)
+
+
+def test_given_an_alarm_before_a_long_gap_then_the_observer_tells_more_than_the_horizon_again(
+    paper_arm, paper_gains, observed
+):
+    run, _ = observed('uio', duration=26.0, faults=(Fault('link2_angle', 'bias', 1.0, size=0.3),))
+    left, _ = with_gap(run)
+    horizon, both = (
+        answers(left, paper_arm, paper_gains, observer)[0].fault.bound[-1]
+        for observer in ('horizon', 'tightest')
+    )
+    assert np.any(both < horizon)
+
+
 def test_given_constant_friction_then_it_is_known_and_bounded(paper_arm, paper_gains, observed):
     arm = with_joints(paper_arm, friction={'offset': 10.0})
     pytest.raises(ConfigError, UnknownInputObserver, arm, paper_gains).match('gains.arm_sha256')
