@@ -148,6 +148,15 @@ def test_given_all_readings_frozen_when_rates_go_on_then_the_arm_is_not_followin
     assert StopReason.NOT_FOLLOWING in reasons
 
 
+def test_given_a_correction_beyond_the_reference_when_the_arm_waits_for_it_then_it_follows(tracker):
+    reasons, read = [], np.zeros(2)
+    for k, reference in enumerate(np.outer(0.001 * np.arange(100), [1.0, 0.0])):
+        fault = np.array([0.04, 0.0]) * (k >= 20)  # confirmed when it had grown slowly
+        read = np.maximum(read, reference - fault)  # it stands until its reference is there
+        reasons.append(motion(tracker, k, reference, read + fault, read))
+    assert set(reasons) == {StopReason.NONE}
+
+
 def test_given_an_arm_that_follows_slowly_when_judged_then_it_follows(tracker):
     for k, reference in enumerate(np.outer(0.001 * np.arange(2000), [1.0, 0.0])):
         position = 0.97 * reference

@@ -286,7 +286,10 @@ def check_motion(
         corrected = min(abs(position[i] - dog.fed_back[i]), abs(dog.travel[i]))
         way = max(abs(measured[i] - dog.arm[i]), corrected)
         moved = max(moved, way / dog.step[i])
-        led = max(led, abs(reference[i] - dog.reference[i]) / dog.step[i])
+        ahead = reference[i] - dog.reference[i]
+        # An arm that a correction has put before its reference waits until that is there.
+        if ahead * (reference[i] - position[i]) > 0.0:
+            led = max(led, abs(ahead) / dog.step[i])
     if error <= own.tracking_error:
         own.in_reach = stamp
     elif stamp - own.in_reach > LONGEST_UNUSABLE:
