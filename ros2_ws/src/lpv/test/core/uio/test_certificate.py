@@ -314,6 +314,7 @@ def transition(flows, step, controller):
     for flow in flows:
         whole = expm(flow * step / len(flows)) @ whole
     whole[6:] = np.hstack([controller.m1, controller.m2, np.zeros((2, 2))])
+    whole[4:6] = np.eye(2, sampled_motion.SIZE, 4) - step * whole[:2]  # as the law sums eps
     return whole
 
 

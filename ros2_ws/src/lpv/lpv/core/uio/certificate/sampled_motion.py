@@ -10,8 +10,9 @@ K holds the Coriolis torques at link rates up to a stated one.  The transition o
     Phi = I + int F + int int F F + ... .
 
 With F = F0 + D its part that is linear in the mean of D lies in the convex hull of the vertices;
-all else is bounded entry by entry.  One P for which every vertex contracts by more than that
-remainder expands proves that the loop contracts, whatever the arm does within the region.
+all else is bounded entry by entry.  The law sums eps sample by sample, eps+ = eps - h theta+, and
+so does Phi.  One P for which every vertex contracts by more than that remainder expands proves that
+the loop contracts, whatever the arm does within the region.
 """
 
 from dataclasses import dataclass
@@ -76,13 +77,14 @@ def sampled_loop(
         second = center @ center + center @ away + away @ center
         vertices.append(np.eye(SIZE) + step * flow + 0.5 * step**2 * second)
         vertices[-1][6:] = np.hstack([feedback, np.zeros((2, 2))])
+        vertices[-1][4:6] = np.eye(2, SIZE, 4) - step * vertices[-1][:2]
     # int int D D; the first moments of D within the sample; all terms from the third order on.
     moments = np.abs(center) @ spread + spread @ np.abs(center)
     largest = step * np.abs(flows).max(axis=0)
     with np.errstate(over='ignore', invalid='ignore'):  # beyond all numbers nothing is claimed
         higher = expm(largest) - np.eye(SIZE) - largest - 0.5 * largest @ largest
         remainder = 0.5 * step**2 * spread @ spread + 0.25 * step**2 * moments + higher
-    remainder[6:] = 0.0
+    remainder[6:], remainder[4:6] = 0.0, step * remainder[:2]
     return SampledLoop(np.array(vertices), remainder)
 
 
