@@ -6,12 +6,12 @@ bag of the same kind, and the table says so.
 """
 
 import argparse
-import json
 import os
+import resource
 import shutil
-import subprocess
-import sys
 import time
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
 from pathlib import Path
 
 from rich.console import Console
@@ -116,44 +116,34 @@ CANDIDATES = {**OURS, 'roboto-mcap-codec': roboto, **SLOW}
 # ------------------------------------------------------------------ measuring
 
 
-def child(name, bag):
-    """Run one candidate here; print what was measured."""
-    if name == 'prepare':
-        print(json.dumps(prepare(bag)))
-        return
+def measured(work, argument):
+    """What some work returns, or which package it lacks; its times [s] and memory [byte]."""
     wall, cpu = time.perf_counter(), time.process_time()
     try:
-        result = {'messages': CANDIDATES[name](Path(bag))}
+        result = {'returned': work(argument)}
     except ImportError as error:
         result = {'missing': str(error)}
     result.update(wall=time.perf_counter() - wall, cpu=time.process_time() - cpu)
-    print(json.dumps(result))
+    return result | {'memory': resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024}
 
 
-def measure(name, bag):
-    """Run one candidate in a process of its own."""
+def alone(work, argument):
+    """The same in a process of its own, and how long that lasts [s]."""
     begin = time.perf_counter()
-    process = subprocess.Popen(
-        [sys.executable, __file__, '--child', name, str(bag)], stdout=subprocess.PIPE, text=True
-    )
-    text = process.stdout.read()
-    _, status, usage = os.wait4(process.pid, 0)
-    if status:
-        raise SystemExit(f'{name} ended with status {status}')
-    result = json.loads(text)
-    result.update(process=time.perf_counter() - begin, memory=usage.ru_maxrss * 1024)
-    return result
+    with ProcessPoolExecutor(1, get_context('spawn')) as pool:
+        result = pool.submit(measured, work, argument).result()
+    return result | {'process': time.perf_counter() - begin}
 
 
 def prepare(hours):
-    """Make the bag of a length, if it is not there."""
+    """Make the bag of a length, if it is not there; its measurements."""
     from long_bag import long_bag
 
-    return {'count': long_bag(_bag(hours), *_arm_and_gains(), float(hours))}
+    return long_bag(_bag(hours), *_arm_and_gains(), hours)
 
 
 def _bag(hours):
-    return OUT / f'bench_{float(hours):g}h'
+    return OUT / f'bench_{hours:g}h'
 
 
 def main():
@@ -164,18 +154,14 @@ def main():
         '--peer-hours', type=float, default=0.05, help='length of the bag for slow peers (0.05)'
     )
     parser.add_argument('--rounds', type=int, default=3, help='of ours; the best one counts (3)')
-    parser.add_argument('--child', nargs=2, help=argparse.SUPPRESS)
     arguments = parser.parse_args()
-    if arguments.child:
-        child(*arguments.child)
-        return
     from lpv.report.table import print_grid  # only here: its memory is none of a candidate's
 
     OUT.mkdir(exist_ok=True)
     console = Console(soft_wrap=True, highlight=False, width=120)
     # In a process of its own, too: what this one has taken would count as memory of the others.
     long, short = (
-        (_bag(hours), measure('prepare', hours)['count'])
+        (_bag(hours), alone(prepare, hours)['returned'])
         for hours in (arguments.hours, min(arguments.hours, arguments.peer_hours))
     )
     size = _file(long[0]).stat().st_size
@@ -184,25 +170,19 @@ def main():
         f'{size / 1e6:.0f} MB, zstd'
     )
     rows = []
-    for name in CANDIDATES:
+    for name, work in CANDIDATES.items():
         bag, count = short if name in SLOW else long
         rounds = arguments.rounds if name in OURS else 1
-        result = min((measure(name, bag) for _ in range(rounds)), key=lambda r: r['wall'])
+        result = min((alone(work, bag) for _ in range(rounds)), key=lambda r: r['wall'])
         if 'missing' in result:
             console.print(f'{name} is not installed: {result["missing"]}')
             continue
-        assert result['messages'] == 2 * count, (name, result)
-        rows.append(
-            (
-                name,
-                f'{count / long[1] * arguments.hours:.3g}',
-                f'{result["wall"]:.2f}',
-                f'{result["cpu"]:.2f}',
-                f'{result["process"]:.2f}',
-                f'{1e6 * result["wall"] / result["messages"]:.2f}',
-                f'{result["memory"] / 1e6:.0f}',
-            )
-        )
+        assert result['returned'] == 2 * count, (name, result)
+        rows.append((
+            name, f'{count / long[1] * arguments.hours:.3g}', f'{result["wall"]:.2f}',
+            f'{result["cpu"]:.2f}', f'{result["process"]:.2f}',
+            f'{1e6 * result["wall"] / result["returned"]:.2f}', f'{result["memory"] / 1e6:.0f}',
+        ))  # fmt: skip
     heads = '>wall [s]', '>processor [s]', '>process [s]', '>us/message', '>memory [MB]'
     print_grid(console, ('', '>hours', *heads), rows)
     written = sum(file.stat().st_size for file in REPLAYED.iterdir())
