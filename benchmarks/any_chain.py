@@ -17,9 +17,6 @@ from fault_matrix import Row, summary
 from ur10e_twin import PAYLOAD, drive, healthy, recording, twin, ur10e
 
 from lpv.identify.estimation.identification import identify
-from lpv.identify.estimation.mistakes import find_mistakes
-from lpv.identify.recordings.filters import shifted
-from lpv.identify.recordings.recording import Recording
 from lpv.identify.sensors import quantization_step, rate_sources
 
 
@@ -104,29 +101,8 @@ def misnamed(count: int) -> str:
     return '; '.join(texts)
 
 
-def setup(count: int) -> str:
-    """M: mistakes of a set-up."""
-    arm, one, order = ur10e(), recording(1000), [0, 2, 1, 3, 4, 5]
-    swapped = (x[:, order] for x in (one.position, one.velocity, one.effort))
-    nm = replace(with_joints(arm, torque_gain=1.0), effort_unit='N m')
-    cases = {
-        'none': (arm, one),
-        'currents as N m': (nm, one),
-        'wall': (replace(arm, base_orientation=(0.0, np.pi / 2, 0.0)), one),
-        'tilt of 0.1 rad': (replace(arm, base_orientation=(0.0, 0.1, 0.0)), one),
-        'joints 2, 3 swapped': (arm, Recording('swapped', one.time, *swapped)),
-        'sign': (arm, replace(one, effort=-one.effort)),
-        '50 ms late': (arm, replace(one, effort=shifted(one.effort, 0.05, 0.01))),
-    }
-    return '\n'.join(
-        f'{name}: {[m.text for m in find_mistakes(*case[:1], [case[1]])]}'
-        for name, case in cases.items()
-    )
-
-
 LINES: dict[str, Callable[[int], str]] = {
     'B': noise, 'C': rounded, 'D': sources, 'F': currents, 'G': limits, 'H': load, 'L': misnamed,
-    'M': setup,
 }  # fmt: skip
 
 
