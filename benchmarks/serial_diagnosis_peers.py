@@ -1,8 +1,8 @@
-"""Offsets of encoders from the first sample on: ours, an EKF, a UKF, and the Cramer-Rao bound.
+"""Offsets of encoders from the first sample on: ours, an EKF, and the Cramer-Rao bound.
 
 All see the same samples and have the same unknowns with the same priors: offsets of all encoders,
 torque offsets, viscous and Coulomb friction, and the inertial parameters along the directions in
-which the monitor takes them to be uncertain.  State of the filters of FilterPy, for n joints:
+which the monitor takes them to be uncertain.  State of the filter, for n joints:
 
     x = (q, q', d, f, parameters),  y = q + f + noise,  tau = effort - d,
     d(k+1) = exp(-T / T_d) d(k) + white noise,
@@ -13,19 +13,18 @@ nothing to the readings, and are used for the first sample only.
 Simulated arms are drawn from these priors, and the efforts carry noise d of that very model.  There
 the posterior Cramer-Rao bound is the covariance of the EKF linearised along the true course (van
 Trees; Tichavsky and others 1998): no estimator has a smaller mean square error.  On recordings of
-the two-link arm, masses 5 % and friction 30 % wrong, the truth of d is not known: the filters get
+the two-link arm, masses 5 % and friction 30 % wrong, the truth of d is not known: the filter gets
 white noise of the strength that our monitor has learned there.
 """
 
 import argparse
 import time
-from collections.abc import Callable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 from fault_injection import DATA, Stream, csv_stream, shoulder_arm, two_links
-from filterpy.kalman import ExtendedKalmanFilter, MerweScaledSigmaPoints, UnscentedKalmanFilter
 from rich.console import Console
 from simulated_runs import simulated_run
 from watched import Watched
@@ -44,27 +43,28 @@ OFFSET_RANGE = (0.2, 0.5)
 
 
 @dataclass(frozen=True)
-class Healthy(Stream):
-    """A recording without faults, and the arm that the monitor believes to see."""
+class Torques:
+    """Unknown torques d."""
 
+    size: FloatArray  # standard deviation of a sample, shape (n,) [N m]
+    correlation: float = 0.0  # T_d [s]
+
+
+@dataclass(frozen=True)
+class Run:
+    """Readings of an arm, of which one encoder is off, and the arm that estimators know."""
+
+    stream: Stream
     arm: SerialArm
+    torques: Torques
+    truth: FloatArray  # offsets, shape (n,) [rad]
+    course: FloatArray | None = None  # true states of the filter, shape (N, m), where known
 
-
-def two_link_runs(count: int, rng: np.random.Generator) -> list[Healthy]:
-    """Recordings of the two-link arm, each with arms whose parameters are wrong."""
-    known, runs = two_links('real_arm')[0], []
-    streams = [csv_stream(file) for file in sorted((DATA / 'real_arm').glob('run_*.csv'))]
-    for k in range(count if streams else 0):
-        joints = []
-        for joint in known.joints:
-            link = LinkInertia.from_vector(rng.uniform(0.95, 1.05) * joint.link.to_vector())
-            coulomb = joint.friction.coulomb * rng.uniform(0.7, 1.3)
-            joints.append(
-                replace(joint, link=link, friction=replace(joint.friction, coulomb=coulomb))
-            )
-        stream = streams[k % len(streams)]
-        runs.append(Healthy(stream.stamps, stream.samples, replace(known, joints=tuple(joints))))
-    return runs
+    def ends(self) -> list[int]:
+        """Samples until each moment."""
+        seconds = (self.stream.stamps - self.stream.stamps[0]) * 1e-9
+        moments = [one for one in MOMENTS if one <= self.stream.duration + 0.1]
+        return [int(np.searchsorted(seconds, one)) for one in moments]
 
 
 class Model(NamedTuple):
@@ -115,250 +115,166 @@ def jacobian(model: Model, x: FloatArray, effort: FloatArray) -> tuple[FloatArra
     return moved, matrix
 
 
-@dataclass(frozen=True)
-class Torques:
-    """Unknown torques d."""
+class Ekf:
+    """Extended filter with the priors of our monitor, from the first sample on, shape (3, n)."""
 
-    size: FloatArray  # standard deviation of a sample, shape (n,) [N m]
-    correlation: float = 0.0  # T_d [s]
-
-
-@dataclass(frozen=True)
-class Knowledge:
-    """What all filters know before the first sample."""
-
-    model: Model
-    x: FloatArray  # shape (m,)
-    covariance: FloatArray  # shape (m, m)
-    process: FloatArray  # shape (m, m)
-    noise: FloatArray  # of the readings, shape (n, n)
-
-
-def knowledge(arm: SerialArm, torques: Torques, first: FloatArray) -> Knowledge:
-    """Priors of our monitor; ``first`` is the first sample, shape (3, n)."""
-    estimator, n = OffsetEstimator(arm, HorizonPlan.of(arm.sample_time)), len(arm.joints)
-    chain, prior = compile_chain(arm), estimator.prior
-    memory = np.exp(-arm.sample_time / torques.correlation) if torques.correlation > 0.0 else 0.0
-    step, count = integration_step(chain, arm.sample_time)
-    model = Model(chain, estimator.balance.directions, step, count, float(memory))
-    noise = arm.sensors().position_noise ** 2
-    rate = 2.0 * noise / arm.sample_time**2
-    covariance = np.diag(np.concatenate([noise, rate, torques.size**2, prior**2]))
-    for i in range(n):  # q = y - f
-        covariance[i, i] += prior[i] ** 2
-        covariance[i, 3 * n + i] = covariance[3 * n + i, i] = -(prior[i] ** 2)
-    process = np.zeros_like(covariance)
-    process[range(2 * n, 3 * n), range(2 * n, 3 * n)] = (1.0 - memory**2) * torques.size**2
-    x = np.concatenate([first[0], first[1], np.zeros(n + len(prior))])
-    return Knowledge(model, x, covariance, process, np.diag(noise))
-
-
-class Ekf(ExtendedKalmanFilter):
-    """Extended filter; along the true course its covariance is the Cramer-Rao bound."""
-
-    def __init__(self, known: Knowledge) -> None:
-        n, m = len(known.noise), len(known.x)
-        super().__init__(dim_x=m, dim_z=n)
-        self.known, self._h = known, np.eye(n, m) + np.eye(n, m, 3 * n)
-        self.x, self.P = known.x.copy(), known.covariance.copy()
-        self.Q, self.R = known.process, known.noise
-
-    def predict_x(self, u: FloatArray) -> None:
-        """As FilterPy asks."""
-        self.x, self.F = jacobian(self.known.model, self.x, u)
+    def __init__(self, arm: SerialArm, torques: Torques, first: FloatArray) -> None:
+        estimator, n = OffsetEstimator(arm, HorizonPlan.of(arm.sample_time)), len(arm.joints)
+        chain, prior, variance = compile_chain(arm), estimator.prior, torques.size**2
+        correlation = torques.correlation
+        memory = float(np.exp(-arm.sample_time / correlation)) if correlation > 0.0 else 0.0
+        step, count = integration_step(chain, arm.sample_time)
+        self.model = Model(chain, estimator.balance.directions, step, count, memory)
+        noise = arm.sensors().position_noise ** 2
+        rate = 2.0 * noise / arm.sample_time**2
+        self.covariance = np.diag(np.concatenate([noise, rate, variance, prior**2]))
+        for i in range(n):  # q = y - f
+            self.covariance[i, i] += prior[i] ** 2
+            self.covariance[i, 3 * n + i] = self.covariance[3 * n + i, i] = -(prior[i] ** 2)
+        self.x = np.concatenate([first[0], first[1], np.zeros(n + len(prior))])
+        self._process, self._noise = np.zeros_like(self.covariance), np.diag(noise)
+        self._process[range(2 * n, 3 * n), range(2 * n, 3 * n)] = (1.0 - memory**2) * variance
+        self._h, self._offsets = np.eye(n, len(self.x)) + np.eye(n, len(self.x), 3 * n), 3 * n
 
     def take(self, sample: FloatArray) -> None:
         """One sample, shape (3, n)."""
-        self.predict(sample[2])
-        self.update(sample[0], lambda _: self._h, lambda x: self._h @ x)
+        self.x, f = jacobian(self.model, self.x, sample[2])
+        h, predicted = self._h, f @ self.covariance @ f.T + self._process
+        gain = predicted @ h.T @ np.linalg.inv(h @ predicted @ h.T + self._noise)
+        left = np.eye(len(self.x)) - gain @ h
+        self.x = self.x + gain @ (sample[0] - h @ self.x)
+        self.covariance = left @ predicted @ left.T + gain @ self._noise @ gain.T
 
-
-class Ukf(UnscentedKalmanFilter):
-    """Unscented filter."""
-
-    def __init__(self, known: Knowledge) -> None:
-        n, m = len(known.noise), len(known.x)
-        points = MerweScaledSigmaPoints(m, 0.1, 2.0, 3.0 - m)
-        super().__init__(m, n, 1.0, lambda x: x[:n] + x[3 * n : 4 * n], self._move, points)
-        self.known = known
-        self.x, self.P = known.x.copy(), known.covariance.copy()
-        self.Q, self.R = known.process, known.noise
-
-    def _move(self, x: FloatArray, dt: float, effort: FloatArray) -> FloatArray:
-        out = np.empty_like(x)
-        advance(self.known.model, x, effort, out)
-        return out
-
-    def take(self, sample: FloatArray) -> None:
-        """One sample, shape (3, n)."""
-        self.P = 0.5 * (self.P + self.P.T)
-        self.predict(effort=sample[2])
-        self.update(sample[0])
+    def offsets(self) -> tuple[FloatArray, FloatArray]:
+        """Offsets and their standard deviations [rad]."""
+        part = slice(self._offsets, self._offsets + len(self._noise))
+        return self.x[part].copy(), np.sqrt(np.diag(self.covariance)[part])
 
 
 @dataclass
 class Offsets:
-    """Errors and standard deviations of all offsets at `MOMENTS`; NaN where a filter failed."""
+    """Errors and standard deviations of all offsets at `MOMENTS`."""
 
     error: FloatArray  # shape (moments, n) [rad]
     sigma: FloatArray  # shape (moments, n) [rad]
     cost: float  # of a sample [s]
 
 
-def filtered(
-    make: Callable[[Knowledge], Ekf | Ukf], known: Knowledge, run: Healthy, truth: FloatArray
-) -> Offsets:
-    """What a filter finds of true offsets."""
-    n, kalman = run.samples.shape[2], make(known)
-    offsets, begin = slice(3 * n, 4 * n), time.process_time()
-
-    def until(first: int, last: int) -> tuple[FloatArray, FloatArray]:
-        for sample in run.samples[first:last]:
-            kalman.take(sample)
-        variance = np.diag(kalman.P)[offsets]
-        return kalman.x[offsets].copy(), np.sqrt(np.where(variance > 0.0, variance, np.nan))
-
-    found = np.full((2, len(MOMENTS), n), np.nan)
-    ends = [1, *_ends(run)]
-    for k in range(len(ends) - 1):
-        try:
-            found[:, k] = until(ends[k], ends[k + 1])
-        except (np.linalg.LinAlgError, ValueError):
-            break
-    return Offsets(found[0] - truth, found[1], (time.process_time() - begin) / ends[-1])
+def filtered(run: Run, course: FloatArray | None = None) -> Offsets:
+    """What the filter finds; along a course of true states (N, m) its sigma is the bound."""
+    samples, ends, found = run.stream.samples, run.ends(), []
+    kalman, begin = Ekf(run.arm, run.torques, samples[0]), time.process_time()
+    for k in range(1, ends[-1]):
+        if course is not None:
+            kalman.x = course[k - 1].copy()
+        kalman.take(samples[k])
+        if k + 1 in ends:
+            found.append(kalman.offsets())
+    return _compared(found, run, time.process_time() - begin)
 
 
-def bound(known: Knowledge, run: Healthy, course: FloatArray) -> FloatArray:
-    """Cramer-Rao bound of the offsets along the true states (N, m): deviations (moments, n)."""
-    n, kalman, deviations = run.samples.shape[2], Ekf(known), []
-    for k in range(1, _ends(run)[-1]):
-        kalman.x = course[k - 1].copy()
-        kalman.take(run.samples[k])
-        if k + 1 in _ends(run):
-            deviations.append(np.sqrt(np.diag(kalman.P)[3 * n : 4 * n]))
-    return np.array(deviations)
+def ours(run: Run) -> Offsets:
+    """What our monitor finds."""
+    monitor, found, done, begin = Watched(run.arm), [], 0, time.process_time()
+    for end in run.ends():
+        monitor.take(run.stream.stamps[done:end], run.stream.samples[done:end])
+        found.append(monitor.estimate()[:2])
+        done = end
+    return _compared(found, run, time.process_time() - begin)
 
 
-def ours(run: Healthy, truth: FloatArray) -> Offsets:
-    """What our monitor finds of true offsets."""
-    monitor, found, done = Watched(run.arm), [], 0
-    begin = time.process_time()
-    for end in _ends(run):
-        monitor.take(run.stamps[done:end], run.samples[done:end])
-        estimate, done = monitor.estimate(), end
-        found.append((estimate.fault, estimate.sigma))
-    cost = (time.process_time() - begin) / done
+def _compared(found: list[tuple[FloatArray, FloatArray]], run: Run, spent: float) -> Offsets:
     estimates, sigmas = np.moveaxis(np.array(found), 1, 0)
-    return Offsets(estimates - truth, sigmas, cost)
+    return Offsets(estimates - run.truth, sigmas, spent / run.ends()[-1])
 
 
-def _ends(run: Healthy) -> list[int]:
-    """Samples until each moment."""
-    seconds = (run.stamps - run.stamps[0]) * 1e-9
-    return [int(np.searchsorted(seconds, one)) for one in MOMENTS if one <= run.duration + 0.1]
+def simulated(arm: SerialArm, torques: Torques, runs: int) -> Iterator[Run]:
+    """Runs of arms drawn from the priors."""
+    n = len(arm.joints)
+    known = Ekf(arm, torques, np.zeros((3, n)))
+    model, sigma = known.model, np.sqrt(np.diag(known.covariance)[4 * n :])
+    for seed in range(runs):
+        rng = np.random.default_rng(seed)
+        parameters, friction = sigma * rng.normal(size=len(sigma)), model.chain.friction.copy()
+        for row, column in enumerate((OFFSET, VISCOUS, COULOMB)):
+            change = parameters[row * n : (row + 1) * n]
+            if column != OFFSET:  # no friction drives
+                np.maximum(change, -0.9 * friction[:, column], out=change)
+            friction[:, column] += change
+        inertial = model.chain.inertial + np.tensordot(parameters[3 * n :], model.directions, 1)
+        plant = model.chain._replace(inertial=inertial, friction=friction)
+        run = simulated_run(arm, MOMENTS[-1] + 0.1, plant=plant, seed=seed)
+        d = torques.size * rng.normal(size=run.position.shape)
+        for k in range(1, len(d)):
+            d[k] = model.memory * d[k - 1] + np.sqrt(1.0 - model.memory**2) * d[k]
+        run.samples[1:, 2] += d[:-1]
+        stream, truth = shifted(Stream(run.stamps, run.samples), seed % n, rng)
+        rate = np.gradient(run.position, arm.sample_time, axis=0)
+        steady = np.broadcast_to(np.concatenate([truth, parameters]), (len(d), n + len(sigma)))
+        course = np.concatenate([run.position, rate, d, steady], axis=1)
+        yield Run(stream, arm, torques, truth, course)
 
 
-def simulated(
-    arm: SerialArm, torques: Torques, seed: int, duration: float
-) -> tuple[Healthy, FloatArray]:
-    """A run of an arm drawn from the priors, one encoder wrong from the start; the true states."""
-    rng, n = np.random.default_rng(seed), len(arm.joints)
-    known = knowledge(arm, torques, np.zeros((3, n)))
-    chain, parameters = known.model.chain, np.zeros(len(known.x) - 4 * n)
-    parameters[:] = np.sqrt(np.diag(known.covariance)[4 * n :]) * rng.normal(size=len(parameters))
-    friction = chain.friction.copy()
-    for row, column in enumerate((OFFSET, VISCOUS, COULOMB)):
-        change = parameters[row * n : (row + 1) * n]
-        if column != OFFSET:  # no friction drives
-            np.maximum(change, -0.9 * friction[:, column], out=change)
-        friction[:, column] += change
-    inertial = chain.inertial + np.tensordot(parameters[3 * n :], known.model.directions, 1)
-    plant = chain._replace(inertial=inertial, friction=friction)
-    run = simulated_run(arm, duration, plant=plant, seed=seed)
-    course = np.zeros((len(run.stamps), len(known.x)))
-    course[:, :n] = run.position
-    course[:, n : 2 * n] = np.gradient(run.position, arm.sample_time, axis=0)
-    course[:, 4 * n :] = parameters
-    d = torques.size * rng.normal(size=(len(run.stamps), n))
-    for k in range(1, len(d)):
-        d[k] = known.model.memory * d[k - 1] + np.sqrt(1.0 - known.model.memory**2) * d[k]
-    run.samples[1:, 2] += d[:-1]
-    course[:, 2 * n : 3 * n] = d
-    joint, size = seed % n, rng.choice([-1.0, 1.0]) * rng.uniform(*OFFSET_RANGE)
-    run.samples[:, 0, joint] += size
-    course[:, 3 * n + joint] = size
-    return Healthy(run.stamps, run.samples, arm), course
+def recorded(count: int) -> Iterator[Run]:
+    """Recordings of the two-link arm, whose parameters are wrong; d as our monitor has learned."""
+    known, rng, healthy = two_links('real_arm')[0], np.random.default_rng(0), []
+    streams = [csv_stream(file) for file in sorted((DATA / 'real_arm').glob('run_*.csv'))]
+    for k in range(count if streams else 0):
+        joints = []
+        for joint in known.joints:
+            link = LinkInertia.from_vector(rng.uniform(0.95, 1.05) * joint.link.to_vector())
+            friction = replace(
+                joint.friction, coulomb=joint.friction.coulomb * rng.uniform(0.7, 1.3)
+            )
+            joints.append(replace(joint, link=link, friction=friction))
+        healthy.append((streams[k % len(streams)], replace(known, joints=tuple(joints))))
+    for k, (stream, arm) in enumerate(healthy):
+        monitor = Watched(arm)
+        monitor.take(stream.stamps, stream.samples)
+        learned = monitor.estimator.posterior
+        size = monitor.estimator.usual_sizes(np.arange(len(monitor.estimator)))
+        power = np.mean(size**2, 0) * learned.inflation / (monitor.plan.interval * 2.0 / 3.0)
+        faulty, truth = shifted(stream, k % 2, rng)
+        yield Run(faulty, arm, Torques(np.sqrt(power / arm.sample_time)), truth)
 
 
-def cells(runs: list[Offsets], k: int, limits: FloatArray | None) -> list[str]:
-    """At a moment: RMS, over the bound, 90 %, over the stated deviation, failures, cost."""
-    error, sigma = (np.array([getattr(run, n)[k] for run in runs]) for n in ('error', 'sigma'))
-    failed = ~np.isfinite(error).all(1) | (np.abs(error) > np.pi).any(1)
-    e, s = error[~failed], sigma[~failed]
-    rms, cell = float(np.sqrt(np.mean(e**2))), '-'
-    if limits is not None:
-        cell = f'{rms / np.sqrt(np.mean(limits[~failed, k] ** 2)):.2f}'
-    return [
-        f'{rms:.4f}', cell, f'{np.quantile(np.abs(e).max(1), 0.9):.3f}',
-        f'{np.sqrt(np.mean((e / s) ** 2)):.1f}', str(int(failed.sum())),
-        f'{1e6 * np.mean([run.cost for run in runs]):.0f}']  # fmt: skip
+def shifted(stream: Stream, joint: int, rng: np.random.Generator) -> tuple[Stream, FloatArray]:
+    """A stream with one encoder off, and the offsets of all [rad]."""
+    samples, truth = stream.samples.copy(), np.zeros(stream.samples.shape[2])
+    truth[joint] = rng.choice([-1.0, 1.0]) * rng.uniform(*OFFSET_RANGE)
+    samples[:, 0] += truth
+    return Stream(stream.stamps, samples), truth
 
 
-def print_table(
-    console: Console, title: str, found: dict[str, list[Offsets]], limits: FloatArray | None = None
-) -> None:
-    """One row for each moment and estimator."""
+def report(console: Console, title: str, runs: Iterable[Run]) -> None:
+    """Show errors of both, and the bound where the true course is known."""
+    found: dict[str, list[Offsets]] = {'bound': [], 'ours': [], 'EKF': []}
+    for run in runs:
+        if run.course is not None:
+            found['bound'].append(filtered(run, run.course))
+        found['ours'].append(ours(run))
+        found['EKF'].append(filtered(run))
     rows = []
     for k, moment in enumerate(MOMENTS):
-        if limits is not None:
-            rms = np.sqrt(np.mean(limits[:, k] ** 2))
-            rows.append([f'{moment:g}', 'bound', f'{rms:.4f}', '1'])
-        for name, runs in found.items():
-            rows.append([f'{moment:g}', name, *cells(runs, k, limits)])
+        least = [one.sigma[k] for one in found['bound']]
+        limit = np.sqrt(np.mean(np.square(least))) if least else np.nan
+        for name, those in found.items():
+            cells = [f'{limit:.4f}', '1'] if name == 'bound' else _cells(those, k, limit)
+            rows += [[f'{moment:g}', name, *cells]] if those else []
     heads = ('>after [s]', '', '>RMS [rad]', '>over bound', '>larger error, 90 % [rad]',
-             '>RMS over own sigma', '>diverged', '>us a sample')  # fmt: skip
-    print_grid(console, heads, rows, title)
+             '>RMS over own sigma', '>us a sample')  # fmt: skip
+    print_grid(console, heads, rows, f'{title}: {len(found["ours"])} runs')
 
 
-PEERS: dict[str, Callable[[Knowledge], Ekf | Ukf]] = {'EKF': Ekf, 'UKF': Ukf}
-
-
-def report_simulated(
-    console: Console, name: str, arm: SerialArm, torques: Torques, runs: int
-) -> None:
-    """All estimators and the bound on arms drawn from the priors."""
-    n, limits = len(arm.joints), []
-    found = {key: list[Offsets]() for key in ('ours', *PEERS)}
-    for seed in range(runs):
-        run, course = simulated(arm, torques, seed, MOMENTS[-1] + 0.1)
-        known, truth = knowledge(arm, torques, run.samples[0]), course[0, 3 * n : 4 * n]
-        limits.append(bound(known, run, course))
-        found['ours'].append(ours(run, truth))
-        for key, make in PEERS.items():
-            found[key].append(filtered(make, known, run, truth))
-    title = f'{name}, simulated, T_d = {torques.correlation:g} s: {runs} runs'
-    print_table(console, title, found, np.array(limits))
-
-
-def report_recorded(console: Console, runs: int, rng: np.random.Generator) -> None:
-    """The recorded two-link arm; strength of d as our monitor has learned it."""
-    found = {key: list[Offsets]() for key in ('ours', *PEERS)}
-    for k, run in enumerate(two_link_runs(runs, rng)):
-        monitor = Watched(run.arm)
-        monitor.take(run.stamps, run.samples)
-        plan, learned = monitor.plan, monitor.estimator.posterior
-        size = monitor.estimator.usual_sizes(np.arange(len(monitor.estimator)))
-        power = np.mean(size**2, 0) * learned.inflation / (plan.interval * 2.0 / 3.0)
-        torques = Torques(np.sqrt(power / run.arm.sample_time))
-        joint, size = k % 2, rng.choice([-1.0, 1.0]) * rng.uniform(*OFFSET_RANGE)
-        faulty, truth = replace(run, samples=run.samples.copy()), np.zeros(2)
-        faulty.samples[:, 0, joint] += size
-        truth[joint] = size
-        found['ours'].append(ours(faulty, truth))
-        for key, make in PEERS.items():
-            known = knowledge(run.arm, torques, faulty.samples[0])
-            found[key].append(filtered(make, known, faulty, truth))
-    print_table(console, f'two-link arm, recorded, {runs} runs', found)
+def _cells(runs: list[Offsets], k: int, limit: float) -> list[str]:
+    """At a moment: RMS, over the bound, 90 %, over the stated deviation, cost."""
+    error, sigma = np.array([one.error[k] for one in runs]), np.array([r.sigma[k] for r in runs])
+    rms = float(np.sqrt(np.mean(error**2)))
+    return [
+        f'{rms:.4f}', f'{rms / limit:.2f}' if np.isfinite(limit) else '-',
+        f'{np.quantile(np.abs(error).max(1), 0.9):.3f}',
+        f'{np.sqrt(np.mean((error / sigma) ** 2)):.1f}',
+        f'{1e6 * np.mean([run.cost for run in runs]):.0f}']  # fmt: skip
 
 
 def main() -> None:
@@ -372,14 +288,14 @@ def main() -> None:
     console = Console(width=140)
     for name in options.arms:
         if name == 'recorded':
-            report_recorded(console, options.runs, np.random.default_rng(0))
+            report(console, 'two-link arm, recorded', recorded(options.runs))
             continue
         arm = shoulder_arm() if name == 'shoulder' else two_links(name)[0]
         arm = replace(arm, uncertainty=replace(arm.uncertainty, friction=0.3))
-        limit = np.array([joint.limits.torque for joint in arm.joints])
+        size = options.noise * np.array([joint.limits.torque for joint in arm.joints])
         for correlation in options.correlation:
-            torques = Torques(options.noise * limit, correlation)
-            report_simulated(console, name, arm, torques, options.runs)
+            runs = simulated(arm, Torques(size, correlation), options.runs)
+            report(console, f'{name}, simulated, T_d = {correlation:g} s', runs)
 
 
 if __name__ == '__main__':

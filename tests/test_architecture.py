@@ -145,7 +145,7 @@ IMPORTED_ON_CALL = {'lpv': {'lpv_design'}}
 # Keys of rosdep that are not python3- and the name (rosdistro, rosdep/python.yaml), and libraries
 # that none stands for: the manifest's comment names what pip installs.
 _KEYS = 'aiohttp argcomplete hypothesis jinja2 matplotlib numba numpy packaging pytest rich scipy'
-_KEYS += ' pytest-timeout sqlalchemy yaml cvxpy-pip filterpy-pip mujoco-pip rosbags-pip'
+_KEYS += ' pytest-timeout sqlalchemy yaml cvxpy-pip mujoco-pip rosbags-pip'
 ROSDEP_KEYS = {f'python3-{name}' for name in _KEYS.split()}
 _PYPI = 'clarabel cmaes distributed lz4 mcap optuna pyarrow zstandard'
 PYPI = {name: name for name in _PYPI.split()} | {'foxglove': 'foxglove-sdk', 'pinocchio': 'pin'}
