@@ -2,7 +2,7 @@
 
 ``make reference`` replays the bag and stores the present answers; do so only where they were meant
 to change, and say why in the commit.  The recording is of 6 s of the simulated arm of the paper,
-with four faults, and lost, late and unusable samples.
+with four faults, and lost, late and unusable samples; its gains are the shipped ones.
 """
 
 import shutil
@@ -17,11 +17,10 @@ from lpv import load_arm, load_gains
 from lpv.bag.replay.replay import Replay
 from lpv.cli.commands.compare import show
 from lpv.core.monitoring.serial_monitor import SerialSensorMonitor
-from lpv.core.support.resources import bringup_file
 from lpv.core.support.timestamps import leading_stamp
 from lpv.report.comparison import Tolerances, compare_runs, load_pair
 
-BAG = DATA / 'reference'
+BAG = DATA / 'reference.mcap'
 TOLERANCES = Tolerances(mise=1e-3, delay=0.0, signal=1e-6, flags=0.0, missing=1.0)
 """Processors round differently in the last digits; everything else is a change of behaviour."""
 _THINNED = 20
@@ -29,25 +28,22 @@ _THINNED = 20
 
 
 def monitor(**options):
-    arm = load_arm(bringup_file('arms', 'paper'))
-    return SerialSensorMonitor('', arm, gains=load_gains(BAG / 'gains.yaml'), **options)
+    return SerialSensorMonitor('', load_arm('paper'), gains=load_gains('paper'), **options)
 
 
 def compare(replayed):
-    arm = load_arm(bringup_file('arms', 'paper'))
+    arm = load_arm('paper')
     return compare_runs(*load_pair(BAG, replayed, arm), arm, TOLERANCES)
 
 
 def renew():
     """Store what is answered now; the comparison with what was answered before."""
     with tempfile.TemporaryDirectory() as folder:
-        replayed, new = Path(folder) / 'replayed', Path(folder) / BAG.name
+        replayed, new = Path(folder) / 'replayed', Path(folder) / 'reference'
         Replay(monitor()).run(BAG, replayed)
         before = compare(replayed)
         copied(replayed, new, lambda topic: topic[:5] == '/lpv/', _thinned, preset='zstd_small')
-        shutil.copy(BAG / 'gains.yaml', new)
-        shutil.rmtree(BAG)
-        shutil.copytree(new, BAG)
+        shutil.copy(new / BAG.name, BAG)
     return before
 
 

@@ -34,7 +34,7 @@ def slower(tmp_path_factory):
 
 
 def test_given_the_reference_when_replayed_then_the_diagnosis_answers_as_it_did(replayed):
-    found, meant = reference.compare(replayed), 'run `make reference`, commit tests/data/reference'
+    found, meant = reference.compare(replayed), 'run `make reference`, commit the bag'
     wrong = [f for f in (*found.figures, *found.differences, *found.alarms) if not f.same]
     assert found.same, f'the diagnosis answers differently: {wrong}; if that is meant, {meant}'
     assert found.common > 140 and len(found.figures) == 6
