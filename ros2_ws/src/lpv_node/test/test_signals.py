@@ -71,11 +71,9 @@ FAILS = 'def main(): raise ValueError("what failed")'
 
 
 @pytest.mark.parametrize('name', ['SIGINT', 'SIGTERM', 'SIGHUP'])
-@pytest.mark.parametrize(
-    ('source', 'code', 'told'),
-    [(SLOW, 0, ''), (SWALLOWS, 0, ''), (TOLD_AT_EXIT, 3, ''), (FAILS, 1, 'what failed')],
-    ids=['imports that last', 'an import that swallows it', 'told at its end', 'a node that fails'],
-)
+@pytest.mark.parametrize(('source', 'code', 'told'), [
+    (SLOW, 0, ''), (SWALLOWS, 0, ''), (TOLD_AT_EXIT, 3, ''), (FAILS, 1, 'what failed'),
+], ids=['imports', 'an import that swallows it', 'its end', 'a node that fails'])  # fmt: skip
 def test_given_a_node_when_told_to_stop_then_it_leaves_quietly(tmp_path, source, code, told, name):
     (tmp_path / 'some_node.py').write_text(TELL.format(name) + source)
     line = [sys.executable, '-c', START, 'some_node']

@@ -18,7 +18,8 @@ RATES = ('derived', 'independent', 'none')
 SPOILS = (
     'rests', 'constant', 'rounded 0.1 mrad', 'rounded 1 mrad', 'repeated', 'missing', 'no rates',
     'no efforts', 'duplicates', 'steps of the clock', 'odd stamps', 'gap', 'huge', 'jump', 'frozen',
-    'wraps', 'differences', 'unread', 'jumps at every sample', 'zero efforts',
+    'wraps', 'differences', 'unread', 'jumps at every sample', 'zero rates', 'zero efforts',
+    'idle drives',
 )  # fmt: skip
 SPOILT = some.lists(some.sampled_from(SPOILS), max_size=5, unique=True)
 FREQUENCIES = some.sampled_from([30.0, 100.0, 250.0, 500.0, 1000.0])
@@ -65,8 +66,10 @@ def spoil(rng, kind, stamps, samples):
         samples[np.ix_(np.arange(begin, end + 1), [int(kind == 'no rates')], of)] = np.nan
     elif kind == 'no efforts':
         samples[part, 2] = np.nan
-    elif kind == 'zero efforts':
-        samples[:, 2] = 0.0
+    elif kind in ('zero rates', 'zero efforts'):
+        samples[:, 1 + (kind == 'zero efforts')] = 0.0
+    elif kind == 'idle drives':
+        samples[:, 2, of] = 0.0
     elif kind == 'duplicates':
         again = rng.integers(1, count, 5)
         stamps[again] = stamps[again - 1]
@@ -129,7 +132,7 @@ def test_given_any_data_then_answers_are_numbers_in_any_parts(joints, frequency,
     for name, rows in expected.items():
         joined = np.concatenate([values(one)[name] for one in found])
         assert joined.tobytes() == rows[:last].tobytes(), name
-    for name in ('events', 'reports'):
+    for name in ('events', 'reports', 'warnings'):
         joined = [what for one in found for _, what in getattr(one, name)]
         assert joined == [what for row, what in getattr(whole, name) if row < last], name
     for k in range(last, len(stamps)):
