@@ -156,22 +156,6 @@ def test_given_many_samples_when_asked_at_once_then_torques_are_those_of_each(re
         pytest.raises(SampleError, model.torque, *motion[:2], wrong).match('of the same samples')
 
 
-def test_energy_is_kept_without_friction_and_torque():
-    chain = random_chain(3, 4)
-    model, state = SerialModel(chain), np.array([[0.3, -0.5, 0.8, 0.1], [0.2, 0.1, -0.3, 0.4]])
-    scratch, matrix, peer = plant_scratch(chain), np.empty((4, 4)), pinocchio_model(chain)
-
-    def energy():
-        kinetic = 0.5 * state[1] @ model.mass_matrix(state[0]) @ state[1]
-        return kinetic + pin.computePotentialEnergy(peer, peer.createData(), state[0])
-
-    before = energy()
-    for _ in range(1000):
-        assert plant_step(chain, state, np.zeros(4), 5e-4, 1, scratch, matrix)
-    assert abs(energy() - before) < 1e-6 * abs(before)
-    assert np.abs(state[1]).max() > 1.0
-
-
 def test_given_friction_by_load_when_it_holds_an_arm_then_steps_are_short_enough():
     chain, n, period = compile_chain(PANDA), len(PANDA.joints), 0.002
     chain.friction[:] = 0.0, 0.0, 0.3, 0.0, 300.0

@@ -13,7 +13,7 @@ from fault_injection import with_joints
 from scipy.signal import lfilter
 from serial_arms import shoulder_arm, simulated, without
 
-from lpv import ConfigError, DiagnosisParameters, Fault, SampleError, load_arm
+from lpv import ConfigError, DiagnosisParameters, Fault, SampleError
 from lpv.core.monitoring import message_fields
 from lpv.core.monitoring.alarm_text import UNUSABLE
 from lpv.core.monitoring.message_fields import ERROR, diagnostic_fields
@@ -22,12 +22,10 @@ from lpv.core.monitoring.stamp_gate import JUMP
 from lpv.core.serial_arm.chain import compile_chain
 from lpv.core.serial_arm.description import JointLimits
 from lpv.core.serial_arm.diagnosis.alarms import AlarmEvent, Mode, SensorState
-from lpv.core.serial_arm.diagnosis.contact import rough_contacts, tip_jacobians
-from lpv.core.serial_arm.diagnosis.drift_trial import compare_drifts
 from lpv.core.serial_arm.dynamics.model import SerialModel
 from lpv.core.serial_arm.rate_independence import SAMPLES
 from lpv.core.serial_arm.turns import Turns
-from lpv.core.support.jit import COMPILED, Entries
+from lpv.core.support.jit import COMPILED
 
 ARM = shoulder_arm()
 LARGE = Fault('encoder2', 'bias', 1.0, size=0.3)
@@ -570,19 +568,6 @@ def test_given_a_joint_that_turns_for_an_hour_when_observed_then_its_readings_st
         later = stamps[part] + (joint + 1) * HOUR
         monitor.take_many(later, readings[part], rates[part], np.zeros((10, 3)))
         assert monitor.counters.implausible == 8 * (joint + 1)  # of a stream from the third on
-
-
-@pytest.mark.parametrize('name', ['paper', 'ur10', 'panda'])
-def test_given_no_samples_when_warmed_up_then_what_only_faults_need_is_called(name, monkeypatch):
-    call, called = Entries.__call__, set()
-
-    def noted(self, function, *arguments):
-        called.add(function)
-        return call(self, function, *arguments)
-
-    monkeypatch.setattr(Entries, '__call__', noted)
-    SerialSensorMonitor('/uio', load_arm(name)).warm_up_faults()
-    assert {compare_drifts, rough_contacts, tip_jacobians} <= called
 
 
 WARMED = """
