@@ -150,6 +150,13 @@ def test_given_two_senders_when_they_alternate_then_only_the_first_is_used(paper
     assert all(stream_of(sender, [0.195], [1.0, 0.5]))
 
 
+def test_given_a_fast_arm_when_another_sender_comes_then_it_goes_on_at_its_rate(paper_arm):
+    sender = input_check.OneSender(paper_arm)
+    for k in range(20):
+        assert all(stream_of(sender, [0.05 * k], [0.8 * k, 0.5], several=k > 1))  # 16 of 20 rad/s
+        assert k < 2 or not any(stream_of(sender, [0.05 * k + 0.01], [-1.0, 0.5]))
+
+
 def test_given_a_jump_that_nobody_contradicts_or_a_gripper_when_heard_then_it_is_used(paper_arm):
     times = 0.002 * np.arange(250)
     for several in (False, True):
