@@ -128,6 +128,14 @@ def test_given_rates_when_reported_then_the_fastest_joint_and_its_limit_come_fir
         assert page(run({100: (rate, 0.0)}))['ran_away'] is away
 
 
+def test_given_a_reference_when_reported_then_it_is_told_how_far_the_tip_was_from_it(page):
+    there = np.zeros((COUNT, 2))
+    there[7], there[9] = (np.pi / 2, 0.0), np.nan  # both links point up instead of ahead
+    known = {'reference': stream('velocity', position=there)}
+    values = page(run(ground_truth=stream('position', 'velocity', 'fault'), **known))
+    assert tile(values, 'farthest from path').value == '2.83 m'
+
+
 def test_given_commands_that_stay_away_when_reported_then_the_silence_is_told(paper_arm):
     record, kept = run(torque_command={}), np.r_[0:100, 200:400]
     record.stamps['torque_command'] = record.stamps['torque_command'][kept]
