@@ -81,6 +81,21 @@ def test_given_no_messages_or_those_of_other_arms_when_framed_then_nothing_is_kn
     assert frame['sample']['fault'] == [None, 0.1] and frame['sample']['estimate'] == [None, -0.2]
 
 
+def test_given_messages_of_all_sources_when_framed_then_the_frame_says_what_they_say(model):
+    for source, heard in {
+        'state_estimate': state_estimate(1.0, (1.6, 0.1), mode=1),
+        'torque_command': message(1.0, torque=[1.0, -2.0], safe_stop=True),
+        'ground_truth': message(1.0, position=[1.6, 0.1], fault=[0.0, 0.1]),
+        'reference': message(1.0, tip_position=[0.1, 0.0, 1.5]),
+    }.items():
+        assert model.take(source, heard, 0.0)
+    frame = model.frame(0.0)
+    assert (frame['mode'], frame['trustworthy'], frame['safe_stop']) == ('HOLDING', True, True)
+    assert frame['arms']['true'] == frame['arms']['estimated'] != frame['arms']['measured']
+    sample = frame['sample']
+    assert (sample['torque'], sample['fault'], sample['tip']) == ([1.0, -2.0], [0, 0.1], [0.1, 1.5])
+
+
 @pytest.mark.parametrize('rates', [(), (0.0, 0.0, 0.0)])
 def test_given_joints_in_another_order_when_framed_then_the_measured_arm_is_the_same(model, rates):
     names = ['gripper', 'joint2', 'joint1']
