@@ -258,11 +258,6 @@ def test_given_stops_and_lost_sensors_when_reported_then_each_has_its_stretch(pa
     assert line[-1] == '10.0 %'
 
 
-def test_given_a_contradiction_that_lasts_when_reported_then_it_ends_with_the_record(paper_arm):
-    found = phases(run(), paper_arm, told(observer={100: 'observing', 500: CONFUSED}))
-    assert spans(found) == [(history.INCONSISTENT, 0.5, 0.998)]
-
-
 def test_given_what_drives_and_tracker_report_when_reported_then_stops_have_their_reasons(page):
     fast = 'a joint is faster than its velocity limit'
     drives = {0: 'braked: no command yet', 100: 'driven', 200: 'braked: safe stop'}
