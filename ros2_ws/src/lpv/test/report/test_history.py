@@ -15,6 +15,7 @@ from lpv import load_arm, load_scenario
 from lpv.bag.run.record import NodeReport, RecordedAlarm, RunRecord
 from lpv.cli.commands import compare
 from lpv.core.serial_arm.diagnosis.alarms import AlarmEvent, SensorState
+from lpv.core.support.inequalities import Check
 from lpv.report import certificate, figures, history
 from lpv.report.comparison import compare_runs
 from lpv.report.figures import STATES, timeline
@@ -134,6 +135,26 @@ def test_given_a_reference_when_reported_then_it_is_told_how_far_the_tip_was_fro
     known = {'reference': stream('velocity', position=there)}
     values = page(run(ground_truth=stream('position', 'velocity', 'fault'), **known))
     assert tile(values, 'farthest from path').value == '2.83 m'
+
+
+@pytest.mark.parametrize(('what', 'margins', 'bounds', 'word'), [
+    ('gains', (-1.0, -0.5), 'guaranteed', 'holds'), ('gains', (-1.0, 0.5), 'statistical', 'fails'),
+    ('tracking loop', (-1.0,), 'statistical', 'holds'),
+])  # fmt: skip
+def test_given_a_certificate_when_reported_then_bounds_are_guaranteed_just_where_it_says_so(
+    paper_arm, what, margins, bounds, word
+):
+    proof = certificate.Certificate(what, checks=tuple(Check('any', one) for one in margins))
+    values = content(Run(run(), paper_arm, {}, proof))
+    told = [tile(values, name).value for name in ('bounds', f'certificate of the {what}')]
+    assert told == [bounds, word]
+
+
+def test_given_stamps_of_a_calendar_or_not_when_reported_then_only_those_are_dates(page):
+    record = run()
+    assert page(record)['begin'] == ''
+    record.stamps['joint_states'] = record.stamps['joint_states'] + 1_700_000_000 * 10**9
+    assert page(record)['begin'] == '2023-11-14 22:13:20'
 
 
 def test_given_commands_that_stay_away_when_reported_then_the_silence_is_told(paper_arm):
