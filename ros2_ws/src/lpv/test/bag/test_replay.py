@@ -369,6 +369,22 @@ def test_given_a_fault_to_add_when_replayed_then_it_acts_as_on_the_arm_and_is_fo
         assert np.abs(estimate - shift)[time > 0.3].max() < 0.1
 
 
+def test_given_a_fault_soon_after_another_when_added_then_derived_rates_show_it_as_large(
+    loop, paper_arm, replay, tmp_path
+):
+    arm = with_sensors(paper_arm, rates='derived')
+    faults = [
+        Fault('link1_angle', 'bias', *times, size=0.3) for times in ((0.2, 0.099), (0.35, 0.0))
+    ]
+    source = write(tmp_path / 'bag', measured(loop[:HEALTHY]))
+    _, out = replay(source, faults, SerialSensorMonitor('', arm))
+    before, after = (load_run(place).streams['joint_states']['velocity'] for place in (source, out))
+    time = np.arange(HEALTHY) * 0.002
+    shift = 0.3 * ((time >= 0.2) & ((time < 0.299) | (time >= 0.35)))
+    expected = np.diff(shift, prepend=0.0) / arm.sample_time
+    np.testing.assert_allclose((after - before)[:, 0], expected, atol=2e-9)
+
+
 def test_given_faults_when_replayed_by_blocks_then_as_one_by_one(troubled_bag, replay, monkeypatch):
     found, numbers = [], {'noise': (0.1, 0.2, 0.1), 'rate_bias': (0.55, 0.1, 0.2)}
     faults = [Fault('link1_angle', kind, *those) for kind, those in numbers.items()]

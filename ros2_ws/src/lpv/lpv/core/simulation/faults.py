@@ -159,17 +159,6 @@ def rate_bias(faults: np.ndarray, sensor: int, time: float) -> float:
 
 
 @njit
-def derived_rate_error(fault: float, before: float, interval: float) -> float:
-    """What a fault adds to a rate that is the difference of the faulty positions [rad/s].
-
-    NaN without a position; the first position after a dropout has no difference.
-    """
-    if math.isnan(before) and not math.isnan(fault):
-        return 0.0
-    return (fault - before) / interval
-
-
-@njit
 def is_frozen(faults: np.ndarray, sensor: int, time: float) -> bool:
     """Whether a sensor is stuck: it carries no noise either."""
     for k in range(len(faults)):
