@@ -129,6 +129,12 @@ def test_given_a_plan_when_sampled_then_each_combination_or_stratum_comes_once_a
     values = [factorial.values(number) for number in range(factorial.spec.runs)]
     assert list(Counter(map(str, values)).values()) == [2] * 12
     assert {v['noise'] for v in values} == {0.5, 1.25, 2.0}
+    # Both ends of a range are hit, however many values another kind of fault has.
+    by_kind = """{fault.kind: [bias, scale],
+                  fault.size: {bias: {low: 0.1, high: 0.3}, scale: [0.1, 0.2, 0.3]}}"""
+    factorial = resolved(by_kind, plan={'method': 'factorial'})
+    values = [factorial.values(number) for number in range(factorial.spec.runs)]
+    assert {v['fault.size'] for v in values if v['fault.kind'] == 'bias'} == {0.1, 0.3}
     # A latin hypercube hits every stratum of every factor once.
     plan = spec.Plan(spec.parse_spec({**SMALL, 'plan': {'method': 'latin_hypercube', 'runs': 50}}))
     points = np.array([plan.point(number) for number in range(50)])

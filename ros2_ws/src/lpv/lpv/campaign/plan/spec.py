@@ -64,10 +64,8 @@ class Choice:
         """Value for a number of [0, 1)."""
         return self.values[min(int(unit * len(self.values)), len(self.values) - 1)]
 
-    @property
-    def units(self) -> tuple[float, ...]:
-        """Numbers of [0, 1) that give each value once, for a factorial plan."""
-        return tuple((k + 0.5) / len(self.values) for k in range(len(self.values)))
+    def __len__(self) -> int:
+        return len(self.values)
 
 
 @dataclass(frozen=True)
@@ -78,7 +76,7 @@ class Range:
     high: float = entry('number')  # Upper end
     # Whether its value or its logarithm is uniform
     spacing: str = entry('text', default='linear', choices=('linear', 'log'))
-    # Values in a factorial plan, both ends among them
+    # Values in a factorial plan, both ends among them: there it is a choice of these
     levels: int = entry('integer', default=2, low=2)
 
     def value(self, unit: float, _kind: str) -> float:
@@ -86,11 +84,6 @@ class Range:
         if self.spacing == 'log':
             return self.low * (self.high / self.low) ** unit
         return self.low + unit * (self.high - self.low)
-
-    @property
-    def units(self) -> tuple[float, ...]:
-        """Numbers of [0, 1] that give the levels of a factorial plan."""
-        return tuple(k / (self.levels - 1) for k in range(self.levels))
 
 
 @dataclass(frozen=True)
@@ -103,10 +96,8 @@ class ByKind:
         """Value of a kind for a number of [0, 1]."""
         return self.kinds[kind].value(unit, kind) if kind in self.kinds else 0.0
 
-    @property
-    def units(self) -> tuple[float, ...]:
-        """Numbers of [0, 1] that give the levels of the kind with most of them."""
-        return max((factor.units for factor in self.kinds.values()), key=len)
+    def __len__(self) -> int:
+        return max(len(factor) for factor in self.kinds.values())
 
 
 Factor = Choice | Range | ByKind
@@ -139,29 +130,28 @@ def parse_spec(data: dict[str, Any], source: str = 'campaign') -> CampaignSpec:
     top = Section(data, source)
     plan = top.section('plan')
     method = plan.text('method', choices=METHODS)
-    factors = _factors(top.plain('factors'), source)
+    factors: dict[str, Any] = _factors(top.plain('factors'), source, method == 'factorial')
     designs = top.names('designs', default=('paper',))
     if len(designs) > 1:
         factors.setdefault('design', Choice(designs))
     if method == 'factorial':
-        levels = (len(factor.units) for factor in factors.values())
-        runs = plan.integer('repeats', 1, low=1) * math.prod(levels)
+        runs = plan.integer('repeats', 1, low=1) * math.prod(map(len, factors.values()))
     else:
         runs = plan.integer('runs', low=1)
     if runs > MOST_SAMPLES:
         raise plan.error('runs', f'would be {runs}; at most {MOST_SAMPLES} can be asked for')
     plan.finish()
-    _check_faults(factors, Section({}, source, 'factors.fault'), method == 'factorial')
+    _check_faults(factors, Section({}, source, 'factors.fault'))
     return read_entries(CampaignSpec, top, method=method, runs=runs, factors=factors)
 
 
-def _factors(data: dict[str, Any], source: str) -> dict[str, Factor]:
+def _factors(data: dict[str, Any], source: str, factorial: bool) -> dict[str, Factor]:
     factors, section = dict[str, Factor](), Section(data, source, 'factors')
     for name, value in data.items():
         if name not in DEFAULTS and name not in TUNING:
             known = ', '.join([*DEFAULTS, *sorted(TUNING)])
             raise section.error(name, f'is not a factor; there are {known}')
-        factors[name] = _factor(section, name, value)
+        factors[name] = _factor(section, name, value, factorial)
     # Without a kind the scenario's faults are injected, whatever the campaign says of others.
     for name in () if 'fault.kind' in factors else factors:
         if name.startswith('fault.'):
@@ -169,19 +159,20 @@ def _factors(data: dict[str, Any], source: str) -> dict[str, Factor]:
     return factors
 
 
-def _factor(section: Section, name: str, data: Any) -> Factor:
+def _factor(section: Section, name: str, data: Any, factorial: bool) -> Factor:
     """Read a factor: a value, a list of values, ``{low, high, ...}``, or one of these by kind."""
     keys = set(map(str, data)) if isinstance(data, dict) else set()
     if name not in _BY_KIND or not keys or keys & {one.name for one in fields(Range)}:
-        return _any_kind(section, name, data, name)
+        return _any_kind(section, name, data, name, factorial)
     if unknown := sorted(keys - set(KINDS)):
         known = ', '.join(KINDS)
         raise section.error(name, f'has no kind of fault {unknown[0]!r}; known are {known}')
     kinds = section.section(name)
-    return ByKind({kind: _any_kind(kinds, kind, value, name) for kind, value in data.items()})
+    each = {kind: _any_kind(kinds, kind, one, name, factorial) for kind, one in data.items()}
+    return ByKind(each)
 
 
-def _any_kind(section: Section, key: str, data: Any, name: str) -> Choice | Range:
+def _any_kind(section: Section, key: str, data: Any, name: str, factorial: bool) -> Choice | Range:
     """What a field says of a factor for any kind of fault; type and range are checked."""
     is_range, numeric = isinstance(data, dict), name not in TEXTS
     factor = _range(section, key) if is_range else _choice(section, key, data, numeric)
@@ -200,10 +191,13 @@ def _any_kind(section: Section, key: str, data: Any, name: str) -> Choice | Rang
     for value in values:
         if name in known and value not in known[name]:
             raise section.error(key, f'{value!r} is none of ' + ', '.join(known[name]))
+    if factorial and isinstance(factor, Range):
+        shares = [k / (factor.levels - 1) for k in range(factor.levels)]
+        return Choice(tuple(factor.value(share, '') for share in shares))
     return factor
 
 
-def _check_faults(factors: dict[str, Factor], section: Section, factorial: bool) -> None:
+def _check_faults(factors: dict[str, Factor], section: Section) -> None:
     """Refuse sizes and rates with which a fault of a kind would do nothing, or that none has."""
     kinds = [kind for kind in getattr(factors.get('fault.kind'), 'values', ()) if kind != NO_FAULT]
     for name in ('size', 'rate'):
@@ -211,17 +205,16 @@ def _check_faults(factors: dict[str, Factor], section: Section, factorial: bool)
         if f'fault.{name}' in factors and not any(uses(kind, name) for kind in kinds):
             raise section.error(name, 'counts for none of ' + ', '.join(kinds or [NO_FAULT]))
         for kind in kinds:
-            for value in _values(factor, kind, factorial):
+            for value in _values(factor, kind):
                 Fault('', kind, 0.0, **{'size': 1.0, 'rate': 1.0, name: value}).check(section)
 
 
-def _values(factor: Factor, kind: str, factorial: bool) -> tuple[float, ...]:
+def _values(factor: Factor, kind: str) -> tuple[float, ...]:
     """Values for a kind of fault: all, or the ends of what lies between them."""
-    if isinstance(factor, ByKind) and not factorial:
-        factor = factor.kinds.get(kind, Choice((0.0,)))
-    if isinstance(factor, Range) and not factorial:
-        return factor.low or factor.high, factor.high or factor.low  # 0 itself is never drawn
-    return tuple(factor.value(unit, kind) for unit in factor.units)
+    one = factor.kinds.get(kind, Choice((0.0,))) if isinstance(factor, ByKind) else factor
+    if isinstance(one, Range):
+        return one.low or one.high, one.high or one.low  # 0 itself is never drawn
+    return tuple(one.values)
 
 
 def _choice(section: Section, key: str, data: Any, numeric: bool) -> Choice:
@@ -257,19 +250,20 @@ class Plan:
     """Points of the unit cube, one a run; each follows from seed and number alone."""
 
     def __init__(self, spec: CampaignSpec) -> None:
-        self._spec, self._levels = spec, [factor.units for factor in spec.factors.values()]
+        self._spec = spec
         if spec.method == 'latin_hypercube':
             rng = np.random.default_rng([spec.seed, 0])
-            strata = [rng.permutation(spec.runs) for _ in self._levels]
+            strata = [rng.permutation(spec.runs) for _ in spec.factors]
             self._strata = np.array(strata, int).reshape(len(strata), spec.runs).T
 
     def point(self, number: int) -> np.ndarray:
         """Coordinates of a run in [0, 1], one a factor."""
-        spec, counts = self._spec, [len(levels) for levels in self._levels]
+        spec, factors = self._spec, self._spec.factors.values()
         if spec.method == 'factorial':
-            place = np.unravel_index(number % math.prod(counts), counts) if counts else ()
-            return np.array([levels[k] for levels, k in zip(self._levels, place)], float)
-        offset = np.random.default_rng([spec.seed, 1, number]).random(len(counts))
+            counts = np.array([len(factor) for factor in factors], int)
+            place = np.unravel_index(number % math.prod(counts.tolist()), counts)
+            return (np.array(place) + 0.5) / counts
+        offset = np.random.default_rng([spec.seed, 1, number]).random(len(factors))
         if spec.method == 'random':
             return offset
         return (self._strata[number] + offset) / spec.runs
