@@ -17,7 +17,7 @@ from lpv.bag.rosbag.messages import BagMessages
 from lpv.bag.run.record import load_run
 from lpv.campaign.execution import archive as archives
 from lpv.campaign.execution import run_metrics
-from lpv.campaign.execution.archive import Archive, find_bags, unit_of
+from lpv.campaign.execution.archive import Archive, archive_text, find_bags, unit_of
 from lpv.campaign.execution.run_to_bag import START, differences, stamps_of, write_run_bag
 from lpv.campaign.execution.runs import plan_run
 from lpv.campaign.plan.campaign import resolve
@@ -256,6 +256,27 @@ def test_given_an_archive_when_replayed_then_rows_have_figures_or_say_why(tried,
     assert {name for name, row in rows.items() if row['error']} == set(BAD)
     for name, told in BAD.items():
         assert told in rows[name]['error'] and rows[name]['alarms'] is None
+
+
+def test_given_no_truth_while_it_is_measured_when_replayed_then_the_rest_has_figures(
+    runs, tmp_path
+):
+    (plan, run), truth = runs['healthy'], 'lpv_msgs/msg/GroundTruth'
+    messages, entries = BagMessages(TYPESTORE, 'base'), []
+    for k, stamp in enumerate(stamps_of(run).tolist()):
+        values = run.measured[k], run.measured_velocity[k], run.effort[k]
+        entries.append(
+            ('/js', stamp, cdr(messages.joint_state(stamp, plan.arm.joint_names, *values)))
+        )
+    names = 'position', 'velocity', 'torque', 'fault'
+    early = messages.make(truth, 1, {**dict.fromkeys(names, [0.0, 0.0]), 'disturbance': 0.0})
+    others = {'never': [], 'before': [('/lpv/ground_truth', 1, cdr(early, truth))]}
+    work = Archive(archive_text(tmp_path, plan.arm, None))
+    for name, more in others.items():
+        write_bag(tmp_path / name, more + entries, {'/js': JOINT_STATE, '/lpv/ground_truth': truth})
+        row = work.row(name)
+        assert (row['error'], row['measurements'], row['alarms']) == ('', len(run.time), 0)
+        assert 'detected' not in row
 
 
 def test_given_answers_when_summed_up_then_they_are_those_recorded(tried, archive, runs, paper_arm):

@@ -204,8 +204,10 @@ class BagFigures:
             self.warnings = ['too long to be compared with its ground truth']
             return {}
         record = load_run(bag, result.topic, self._arm.joint_names, answers_only=True)
-        stamps = record.stamps['ground_truth']
+        stamps = record.stamps.get('ground_truth', np.zeros(0, np.int64))
         seen = (stamps >= self._stamps[0]) & (stamps <= self._stamps[1])
+        if not seen.any():  # its topic alone is there, or other times are replayed
+            return {}
         truth = {name: values[seen] for name, values in record.streams['ground_truth'].items()}
         stamps = stamps[seen]
         names = self._answers[0]
