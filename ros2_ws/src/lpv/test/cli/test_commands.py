@@ -158,6 +158,19 @@ def test_given_a_node_that_dies_when_the_demo_runs_then_it_says_so(tmp_path, lau
     assert launch(over) == ''
 
 
+def test_given_a_bag_of_others_when_the_demo_runs_then_it_stays(
+    tmp_path, monkeypatch, call, refused
+):
+    monkeypatch.setattr(demo, 'require_ros', lambda: None)
+    monkeypatch.setattr(demo, '_designed', lambda *_: None)
+    (tmp_path / 'bag').mkdir()
+    assert refused('was not written by this command', 'demo', '--out', tmp_path)
+    assert (tmp_path / 'bag').is_dir()
+    (tmp_path / 'launch.log').touch()  # as an earlier run has written it
+    call('demo', '--out', tmp_path, code=1)
+    assert not (tmp_path / 'bag').exists()
+
+
 @pytest.mark.parametrize(('arm', 'scenario'), [('paper', 'two_faults'), ('ur10', 'ur10')])
 def test_given_no_scenario_then_it_is_that_of_the_arm(tmp_path, monkeypatch, call, arm, scenario):
     run = []

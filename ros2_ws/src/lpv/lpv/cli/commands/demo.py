@@ -24,12 +24,13 @@ from lpv.cli.progress import bar
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.simulation.scenario import Scenario, load_scenario
 from lpv.core.support.config import write_parameters
-from lpv.core.support.errors import LpvError
+from lpv.core.support.errors import ConfigError, LpvError
 from lpv.core.support.resources import bringup_file, prefixes, shipped_files
 from lpv.core.support.signals import STOPS, exit_by_signal, handled_signals
 from lpv.core.uio.certificate.gains import load_gains
 
 _PROGRESS = re.compile(r'scenario time ([0-9.]+) of')
+_LOG = 'launch.log'
 _SILENCE = 900.0
 """Longest time without progress before the run is given up [s]; the first start compiles."""
 
@@ -46,8 +47,11 @@ def run(arguments: argparse.Namespace) -> int:
     scenario = load_scenario(files['scenario'])
     scenario.path(arm)
     out = Path(arguments.out).resolve()
-    for part in ('bag', 'report'):  # an earlier run's results, and nothing else
-        shutil.rmtree(out / part, ignore_errors=True)
+    old = [path for path in (out / 'bag', out / 'report') if path.exists()]
+    if old and not (out / _LOG).exists():  # an earlier run's results are removed, and nothing else
+        raise ConfigError('--out', f'{old[0]} exists already and was not written by this command')
+    for path in old:
+        shutil.rmtree(path, ignore_errors=True)
     out.mkdir(parents=True, exist_ok=True)
     if is_designed:
         gains = _designed(arm, arguments.requirement, out, console)
@@ -156,7 +160,7 @@ def _run_graph(
     options['env'] = {**os.environ, 'ROS_DOMAIN_ID': str(domain), 'PYTHONUNBUFFERED': '1'}
     if os.environ.get('AMENT_PREFIX_PATH'):  # of a ROS 2 that may not know where this is
         options['env']['AMENT_PREFIX_PATH'] = os.pathsep.join(map(str, prefixes()))
-    lines, log = deque[str](maxlen=15), out / 'launch.log'
+    lines, log = deque[str](maxlen=15), out / _LOG
     with (
         # The nodes, in sessions of their own, get no signal, and must not outlive the command.
         handled_signals(exit_by_signal, signal.SIGTERM, signal.SIGHUP),
