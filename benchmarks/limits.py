@@ -15,7 +15,7 @@ from lpv.core.serial_arm.chain import FloatArray, IntArray
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.serial_arm.diagnosis.bank import Hypothesis
 from lpv.core.serial_arm.diagnosis.estimator import HorizonPlan
-from lpv.core.serial_arm.diagnosis.information import Window, recent
+from lpv.core.serial_arm.diagnosis.information import Posterior, Window, recent
 from lpv.core.serial_arm.diagnosis.priors import SIZE
 from lpv.core.serial_arm.diagnosis.settings import DiagnosisParameters
 from lpv.core.serial_arm.sensor_map import map_rows
@@ -64,8 +64,8 @@ def shown(cell: Cell, k: int, seed: int) -> tuple[list[float], bool]:
 def offset_shows(arm: SerialArm, stream: Stream, joint: int, size: float) -> list[float]:
     """The same of an offset from the first sample on."""
     estimator = _watched(arm, stream).estimator
-    (_, _, window, level, _), last = estimator.horizon, len(estimator)
-    information = _information(window, len(level.mean), recent(window, last))
+    window, level = estimator.window, estimator.level
+    information = _information(window, level, recent(window, len(estimator)))
     least = np.diag(level.least)
     return [
         size**2 / np.linalg.inv(factor * information + least)[joint, joint] for factor in LESS_NOISE
@@ -82,8 +82,8 @@ class Changed:
         self._at, m = recent(window, len(estimator))[::-1], len(null.mean)
         rows = estimator.rows_of(changed) - estimator.rows_of(self._monitor.readings.all_blocks())
         self._change = rows[:, :, 0]
-        self._unknowns, self._weights = window.rows[self._at][:, :, -m:], window.weights[self._at]
-        self._information, self._least = _information(window, m, self._at), np.diag(null.least)
+        self._unknowns, self._weights = (window.rows[self._at][:, :, -m:], null.weights[self._at])
+        self._information, self._least = _information(window, null, self._at), np.diag(null.least)
 
     def powers(self) -> list[float]:
         """Power of the difference less what is unknown of the arm, for `LESS_NOISE`."""
@@ -130,8 +130,8 @@ def _watched(arm: SerialArm, stream: Stream) -> Watched:
     return monitor
 
 
-def _information(window: Window, m: int, at: IntArray) -> FloatArray:
-    """Information of balances on the m unknowns."""
-    rows = window.rows[at][:, :, -m:]
-    information: FloatArray = np.einsum('kia,ki,kib->ab', rows, window.weights[at], rows)
+def _information(window: Window, null: Posterior, at: IntArray) -> FloatArray:
+    """Information of balances on the unknowns."""
+    rows = window.rows[at][:, :, -len(null.mean) :]
+    information: FloatArray = np.einsum('kia,ki,kib->ab', rows, null.weights[at], rows)
     return information

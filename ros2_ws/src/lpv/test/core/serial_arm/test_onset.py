@@ -43,7 +43,7 @@ def dense_onsets(monitor, end):
     estimator, interval = monitor.estimator, monitor.plan.interval
     window, null, n = estimator.window, estimator.posterior, estimator.joints
     m, rows = len(null.mean), window.rows[recent(window, LAST)]
-    weights, unknowns = window.weights[recent(window, LAST)].ravel(), rows[:, :, -m:]
+    weights, unknowns = null.weights[recent(window, LAST)].ravel(), rows[:, :, -m:]
     residual = (rows[:, :, 0] + unknowns @ null.mean).ravel()
     weighted = weights[:, None] * unknowns.reshape(-1, m)
     upper = np.triu(null.factor)

@@ -107,48 +107,58 @@ def test_given_masses_and_friction_identified_together_then_they_are_wrong_toget
     assert drives[0, 2, 3] / directions[0, 2, 1] == pytest.approx(-20.0)
 
 
-def products(window, last):
-    return window.sums[info.sum_slot(window, 0)] - window.sums[info.sum_slot(window, last)]
+def products(window, null, last):
+    return null.sums[info.sum_slot(window, 0)] - null.sums[info.sum_slot(window, last)]
+
+
+def new_window(joints, unknowns, capacity, loads):
+    """An empty window with one column of faults, and what is summed up of it."""
+    past, rest = np.zeros((1 + unknowns, 2 + unknowns)), np.zeros(0)
+    null = info.Posterior(*[rest] * len(info.Posterior._fields))._replace(
+        weights=np.ones((capacity, joints)), lasting=np.zeros((capacity, joints)),
+        sums=np.zeros((capacity + 1, *past.shape)), past=past)  # fmt: skip
+    return info.new_window(joints, 1, unknowns, capacity, loads), null
 
 
 def window_of(rows, weights, capacity, past=0.5):
     _, joints, columns = rows.shape
-    window = info.new_window(joints, 1, columns - 2, capacity, np.zeros((0, columns - 2)))
+    window, null = new_window(joints, columns - 2, capacity, np.zeros((0, columns - 2)))
     for k, row in enumerate(rows):
-        info.join(window, float(k), row, past)
-        info.add_products(window, 0, weights[k])
-    return window
+        info.join(window, (null,), float(k), row, past)
+        null.weights[info.slot(window, 0)] = weights[k]
+        info.add_products(window, null, 0)
+    return window, null
 
 
 def test_window_sums_equal_direct_sums_and_drifts_may_count_from_a_later_moment():
     rng = np.random.default_rng(0)
     rows, weights = rng.normal(size=(30, 2, 4)), rng.uniform(1.0, 2.0, (30, 2))
-    window = window_of(rows, weights, 10)
+    window, null = window_of(rows, weights, 10)
     for last in (1, 5, 10):
         direct = np.einsum('kia,ki,kib->ab', rows[-last:], weights[-last:], rows[-last:])
-        np.testing.assert_allclose(products(window, last), direct[[0, 2, 3]], atol=1e-10)
-    window = window_of(np.ones((5, 1, 3)), np.ones((5, 1)), 3)
-    np.testing.assert_allclose(window.past, 1.5 * np.ones((2, 3)))
-    info.join(window, 5.0, np.ones((1, 3)), -0.5)
-    np.testing.assert_allclose(window.past, 0.75 * np.ones((2, 3)))
+        np.testing.assert_allclose(products(window, null, last), direct[[0, 2, 3]], atol=1e-10)
+    window, null = window_of(np.ones((5, 1, 3)), np.ones((5, 1)), 3)
+    np.testing.assert_allclose(null.past, 1.5 * np.ones((2, 3)))
+    info.join(window, (null,), 5.0, np.ones((1, 3)), -0.5)
+    np.testing.assert_allclose(null.past, 0.75 * np.ones((2, 3)))
     rng = np.random.default_rng(1)
     rows, weights = rng.normal(size=(8, 1, 3)), np.ones((8, 1))
     later = rows.copy()
     later[:, :, 1] -= 2.0 * rows[:, :, 2]
     one, other = window_of(rows, weights, 5), window_of(later, weights, 5)
-    info.move_drifts(one, 1, 2, 1, 2.0)
-    np.testing.assert_allclose(products(one, 3), products(other, 3), atol=1e-12)
+    info.move_drifts(*one, 1, 2, 1, 2.0)
+    np.testing.assert_allclose(products(*one, 3), products(*other, 3), atol=1e-12)
 
 
 def test_given_the_load_changed_then_balances_before_say_nothing_of_it():
     rows, load = np.random.default_rng(3).normal(size=(6, 1, 4)), np.array([0.5, -2.0])
-    window = info.new_window(1, 1, 2, 4, load[None])
+    window, null = new_window(1, 2, 4, load[None])
     for k, row in enumerate(rows):
-        info.join(window, float(k), row, 1.0)
-        info.add_products(window, 0, np.ones(1))
+        info.join(window, (null,), float(k), row, 1.0)
+        info.add_products(window, null, 0)
         window.changed[info.slot(window, 0)] = k in (1, 4)  # one has left the window
-    total = window.past.copy()
-    info.add_balances(window, total)
+    total = null.past.copy()
+    info.add_balances(window, null, total)
     changes = np.array([[1.0, 1.0], [0.0, 1.0], [0.0, 1.0], [0.0, 1.0], [0.0, 0.0], [0.0, 0.0]])
     free = np.hstack([rows[:, 0, [0, 2, 3]], -(rows[:, 0, 2:] @ load)[:, None] * changes])
     both = free.T @ free + np.diag([0.0, 0.0, 0.0, 1.0, 1.0])
@@ -191,7 +201,7 @@ def test_given_residuals_that_are_larger_at_rest_then_noise_in_motion_stays_smal
     for k in range(200):
         rows, rest = np.zeros(window.rows.shape[1:]), k % 2
         rows[:, 0] = (4.0 if rest else 1.0) * null.expected * rng.normal(size=3)
-        info.join(window, 0.05 * k, rows, -1.0)
+        info.join(window, (null,), 0.05 * k, rows, -1.0)
         window.rest[info.slot(window, 0)] = rest
     estimators.set_residuals(window, null, 200)
     estimators.learn_noise(window, null)

@@ -27,7 +27,7 @@ import numpy.typing as npt
 
 from lpv.core.serial_arm.chain import BoolArray, FloatArray
 from lpv.core.serial_arm.description import SerialArm
-from lpv.core.serial_arm.diagnosis.balance import DRIFT, GAIN, OFFSET, RATE, SCALE, TORQUE, Balance
+from lpv.core.serial_arm.diagnosis.balance import DRIFT, GAIN, OFFSET, RATE, SCALE, TORQUE
 from lpv.core.serial_arm.diagnosis.contact import (
     Contact,
     force_levers,
@@ -39,8 +39,8 @@ from lpv.core.serial_arm.diagnosis.contact import (
     tip_jacobians,
     weigh_residuals,
 )
-from lpv.core.serial_arm.diagnosis.estimator import ONSET, OffsetEstimator, Posterior, set_residuals
-from lpv.core.serial_arm.diagnosis.information import COUNT, NEXT, Window, recent, slot
+from lpv.core.serial_arm.diagnosis.estimator import ONSET, Horizon, OffsetEstimator, set_residuals
+from lpv.core.serial_arm.diagnosis.information import COUNT, NEXT, Posterior, recent, slot
 from lpv.core.serial_arm.diagnosis.kinematic_rows import (
     KinematicRows,
     Kinematics,
@@ -411,7 +411,7 @@ class Bank:
         at = recent(window, last)
         momentum = np.einsum('bij,bj->bi', window.momenta[at], self._mean_rates(held)[:-1])
         estimator.call(set_residuals, window, null, last)
-        weights = window.weights[at]
+        weights = null.weights[at]
         score = np.diff(weights * null.residual[:last], axis=0, prepend=0.0)
         power = weights + np.pad(weights, ((1, 0), (0, 0)))[:-1]
         gains = (momentum * score).sum(1) ** 2 / (1.0 + (momentum**2 * power).sum(1))
@@ -653,10 +653,9 @@ class BankParts(NamedTuple):
 
 
 @njit_in_place
-def take_rows(
-    bank: BankParts, balance: Balance, window: Window, blocks: FloatArray, sampler: Sampler
-) -> None:
-    """Take the balance that has joined the window; ``blocks`` are those of its two intervals."""
+def take_rows(bank: BankParts, horizon: Horizon, blocks: FloatArray, sampler: Sampler) -> None:
+    """Take the balance that has joined the horizon; ``blocks`` are those of its two intervals."""
+    balance, window = horizon.balance, horizon.window
     at, n, independent = slot(window, 0), bank.matrix.shape[0], False
     bank.state[0].age += 1
     bank.state[0].unchanged += 1
@@ -674,9 +673,7 @@ def take_rows(
 @njit_in_place
 def ask_bank(
     bank: BankParts,
-    window: Window,
-    null: Posterior,
-    balance: Balance,
+    horizon: Horizon,
     sampler: Sampler,
     block: FloatArray,
     threshold: float,
@@ -684,11 +681,12 @@ def ask_bank(
 ) -> bool:
     """Evaluate the statistic, every few balances or where there is reason to.
 
-    True if hypotheses have to be compared one by one.  The residuals of ``null`` are written.
-    ``block``, shape (3 n + 4,), is the last one; ``rests`` says that a reading is conspicuous
-    because it rests.
+    True if hypotheses have to be compared one by one.  Residuals under the null hypothesis are
+    written.  ``block``, shape (3 n + 4,), is the last one; ``rests`` says that a reading is
+    conspicuous because it rests.
     """
-    state, lengths, n = bank.state[0], bank.evidence.lengths, bank.matrix.shape[0]
+    balance, window, null, state = horizon.balance, horizon.window, horizon.null, bank.state[0]
+    lengths, n = bank.evidence.lengths, bank.matrix.shape[0]
     own, rows, quiet = bank.kinematics, bank.rows, QUIET * threshold
     state.waited += 1
     if state.waited < QUIET_EVERY and not rests and not loudest_window(own, bank.interval) > quiet:

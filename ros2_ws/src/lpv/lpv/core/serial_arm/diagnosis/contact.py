@@ -15,9 +15,10 @@ from typing import NamedTuple
 import numpy as np
 
 from lpv.core.serial_arm.chain import Chain, FloatArray
-from lpv.core.serial_arm.diagnosis.estimator import Posterior, usual_size
+from lpv.core.serial_arm.diagnosis.estimator import usual_size
 from lpv.core.serial_arm.diagnosis.information import (
     ROBUST,
+    Posterior,
     Window,
     factorise,
     recent,
@@ -215,7 +216,7 @@ def smooth_contacts(
     """
     last = len(levers)
     at = recent(window, last)
-    pulled, rows = levers * window.weights[at][:, None], window.rows[at][:, :, -len(null.mean) :]
+    pulled, rows = levers * null.weights[at][:, None], window.rows[at][:, :, -len(null.mean) :]
     left = window.rows[at, :, 0] + rows @ null.mean
     score = -(pulled @ left[:, :, None])[:, :, 0].T  # (G, last)
     cross = (pulled @ rows).reshape(last, -1).T  # (G m, last)
@@ -263,7 +264,7 @@ def onset_gains(
     """
     at = recent(window, len(columns))
     rows = window.rows[at][:, :, -len(null.mean) :]
-    pulled = columns * window.weights[at][:, :, None]
+    pulled = columns * null.weights[at][:, :, None]
     score = -np.einsum('kil,ki->kl', pulled, null.residual[: len(columns)]).cumsum(0)
     own = np.einsum('kil,kij->klj', pulled, columns).cumsum(0)
     known = whitened(null, (pulled.swapaxes(1, 2) @ rows).cumsum(0))

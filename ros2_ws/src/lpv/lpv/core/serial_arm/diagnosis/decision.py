@@ -10,21 +10,20 @@ import numpy as np
 import numpy.typing as npt
 
 from lpv.core.serial_arm.chain import FloatArray
-from lpv.core.serial_arm.diagnosis.balance import OFFSET, RATE, READINGS_AT_EDGES, Balance
+from lpv.core.serial_arm.diagnosis.balance import OFFSET, RATE, READINGS_AT_EDGES
 from lpv.core.serial_arm.diagnosis.bank import BankParts, ask_bank, take_rows
 from lpv.core.serial_arm.diagnosis.estimator import (
     INTERVAL,
     NOISE_SAMPLES,
     UNMEASURED,
     Horizon,
-    Posterior,
     estimate_all,
     has_moved,
     take_balances,
     weigh_all,
 )
 from lpv.core.serial_arm.diagnosis.healthy_set import HealthyRing, take_healthy
-from lpv.core.serial_arm.diagnosis.information import NEXT, Window, slot
+from lpv.core.serial_arm.diagnosis.information import NEXT, Posterior, Window, slot
 from lpv.core.serial_arm.diagnosis.published_rates import readings_at_edges
 from lpv.core.serial_arm.diagnosis.sampler import BLOCKS, JITTER, PROBED, Sampler, readings_in_jump
 from lpv.core.support.jit import njit_in_place
@@ -89,7 +88,6 @@ class Parts(NamedTuple):
 
     state: np.ndarray  # memory of a record of `DECISION`
     sampler: Sampler
-    balance: Balance
     horizon: Horizon
     healthy: HealthyRing
     bank: BankParts
@@ -224,18 +222,18 @@ def decide(parts: Parts) -> None:
         if state.guarantees:
             edges = readings_at_edges(parts.sampler)
             blocks = parts.recent, parts.lost
-            take_healthy(parts.healthy, window, parts.balance, blocks, edges, state.learns)
-        take_balances(horizon, parts.balance, state.now, state.learns)
+            take_healthy(parts.healthy, horizon, blocks, edges, state.learns)
+        take_balances(horizon, state.now, state.learns)
         if leave_out_missing(window, parts.sampler, state.held):
             weigh_all(horizon, 1)
-        take_rows(bank, parts.balance, window, parts.recent, parts.sampler)
+        take_rows(bank, horizon, parts.recent, parts.sampler)
         state.balances += 1
         state.stage = _FOLLOW if state.follows else _ESTIMATE
     if state.stage == _ESTIMATE:
         if add_noise(window, null, parts.sampler, plan, parts.recent):
             weigh_all(horizon, 1)
         estimate_all(horizon, interval, state.learns)
-        state.stage = _LINEARISE if has_moved(horizon, parts.balance) else _ENDS
+        state.stage = _LINEARISE if has_moved(horizon) else _ENDS
     if state.stage == _ENDS and not state.ends:
         state.stage = _GUARANTEE
     # Guaranteed thresholds change over the horizon.
@@ -251,13 +249,13 @@ def decide(parts: Parts) -> None:
     if state.stage == _ASK:
         last = parts.recent.shape[0] - 1
         state.asked = ask_bank(
-            bank, window, null, parts.balance, parts.sampler, parts.recent[last],
-            state.threshold, state.rests)  # fmt: skip
+            bank, horizon, parts.sampler, parts.recent[last], state.threshold, state.rests
+        )
         quiet = bank.state[0].statistic < state.threshold and not (state.suspects or state.pushed)
         state.stage = _LEVELS if quiet and not state.asked else _NAME
     if state.stage == _LEVELS:
         some = find_levels(
-            level, parts.prior, parts.known, parts.certified, parts.balance.scale,
+            level, parts.prior, parts.known, parts.certified, horizon.balance.scale,
             state.limits, parts.beyond)  # fmt: skip
         state.stage = _RAISE if some else _END
     if state.stage == _END and not state.active:

@@ -16,9 +16,8 @@ import numpy as np
 
 from lpv.core.serial_arm.chain import SLOPE, FloatArray, IntArray
 from lpv.core.serial_arm.diagnosis.balance import OFFSET, VISCOUS, Balance, add_residual, scratch_of
-from lpv.core.serial_arm.diagnosis.estimator import Posterior
 from lpv.core.serial_arm.diagnosis.hat import close_hat, drop_hat, new_hat, put
-from lpv.core.serial_arm.diagnosis.information import Window, factorise, recent, whiten
+from lpv.core.serial_arm.diagnosis.information import Posterior, Window, factorise, recent, whiten
 from lpv.core.serial_arm.diagnosis.priors import SLOW_RATE
 from lpv.core.serial_arm.dynamics.friction import smooth_sign
 from lpv.core.serial_arm.sensor_map import map_vector
@@ -56,7 +55,7 @@ def new_trials(
     at = recent(window, count)[::-1]
     return Trials(
         blocks, np.empty(blocks.shape), np.empty((len(blocks), 2, joints)),
-        np.empty((2, count, joints, 3)), window.rows[at][:, :, -m:].copy(), window.weights[at],
+        np.empty((2, count, joints, 3)), window.rows[at][:, :, -m:].copy(), null.weights[at],
         null.residual[:count][::-1].copy(), upper.T @ upper, null.least, np.empty((m, m)),
         np.empty((3, m)))  # fmt: skip
 

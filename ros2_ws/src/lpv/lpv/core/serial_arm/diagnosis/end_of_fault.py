@@ -100,13 +100,12 @@ class EndOfFault:
 
     def _gains(self, estimator: OffsetEstimator) -> FloatArray:
         """Logarithm of the Bayes factor of each onset; the size is known."""
-        _, _, window, null, _ = estimator.horizon  # as they are weighed for levels
-        last, n = len(estimator), estimator.joints
+        last, n, window = len(estimator), estimator.joints, estimator.window
         if last == 0 or abs(self.jump) > LINEAR * estimator.balance.scale[self.joint]:
             return np.zeros(len(self.ages))
-        at, every = recent(window, last), estimator.window.rows
-        offset = every[at, :, 1 + OFFSET * n + self.joint]
-        drift = every[at, :, 1 + DRIFT * n + self.joint]
+        at = recent(window, last)
+        offset = window.rows[at, :, 1 + OFFSET * n + self.joint]
+        drift = window.rows[at, :, 1 + DRIFT * n + self.joint]
         end, span = window.times[at], 2.0 * estimator.plan.interval
         begin = (self.time - self.ages)[:, None]
         rate = (-self.jump * self.ramps / self.ages)[:, None]
@@ -116,7 +115,8 @@ class EndOfFault:
         columns -= np.where(end > self.time, self.jump, 0.0)[None, :, None] * offset
         # What holds the jump itself was made of readings before and after it.
         known = np.where((end > self.time) & (end < self.time + 2.0 * span), 0.0, 1.0)
-        score, square = weigh_errors(estimator, window, null, known[:, None] * columns)
+        # As they are weighed for levels.
+        score, square = weigh_errors(estimator, estimator.level, known[:, None] * columns)
         return score - 0.5 * square
 
 

@@ -33,11 +33,11 @@ from lpv.core.serial_arm.diagnosis.information import (
     COUNT,
     NEXT,
     ROBUST,
+    Posterior,
     Window,
     add_balances,
     add_products,
     factorise,
-    forget_newest,
     join,
     move_drifts,
     new_window,
@@ -114,36 +114,13 @@ class HorizonPlan:
         return self.per_block * self.blocks
 
 
-class Posterior(NamedTuple):
-    """Estimate of m offsets and parameters of n joints from all balances of the horizon."""
-
-    mean: FloatArray  # (m,) offsets [rad], then parameters, in the order of the columns of balances
-    factor: FloatArray  # U of the information matrix U^T U, shape (m, m)
-    sigma: FloatArray  # standard deviations of the offsets, shape (n,) [rad]
-    least: FloatArray  # information of the prior, shape (m,)
-    noise: FloatArray  # (n,) usual size of what is left of a balance [N m s]
-    expected: FloatArray  # (n,) the same before any was seen [N m s]
-    inflation: FloatArray  # (n,) factor of its variance, since it is correlated in time
-    # (n,) as `noise` where a joint rests or reverses, over `noise`: friction of any size
-    rest: FloatArray
-    expected_rest: FloatArray  # (n,) the same before any was seen
-    dry: FloatArray  # (n,) usual size of friction in a long rest [N m s]
-    systematic: FloatArray  # (n,) smallest variance, with correlation in time [N2 m2 s2]
-    residual: FloatArray  # what the estimate leaves, newest first, shape (capacity, n) [N m s]
-    weights: FloatArray  # inverse variances of the balances, newest first, shape (capacity, n)
-    recalled: FloatArray  # (1 + m, m) what is remembered of the arm
-    total: FloatArray  # (1 + m, m) scratch
-    inverse: FloatArray  # (m, n) scratch
-    sizes: FloatArray  # (capacity,) scratch
-
-
 class Horizon(NamedTuple):
     """The balances of the horizon and what is estimated from them."""
 
+    balance: Balance  # that is being filled
     window: Window
     null: Posterior
-    slow: Window  # the same balances, without columns of faults, weighed for levels
-    level: Posterior  # from these
+    level: Posterior  # the same for levels; its sums have no columns of faults
     since: IntArray  # (1,) balances since all were linearised
 
 
@@ -176,7 +153,7 @@ def usual_size(window: Window, null: Posterior, back: int, i: int) -> float:
     """
     at = slot(window, back)
     size = null.noise[i] * (1.0 + (null.rest[i] - 1.0) * window.rest[at, i])
-    if window.lasting[at, i] > 0.0:
+    if null.lasting[at, i] > 0.0:
         size = max(size, np.hypot(null.noise[i], null.dry[i]))
     return size
 
@@ -186,28 +163,30 @@ def weigh(window: Window, null: Posterior, last: int) -> None:
     """Sum up the last balances again, outliers with less weight (soft L1)."""
     set_residuals(window, null, last)
     for back in range(last - 1, -1, -1):
+        at = slot(window, back)
         for i in range(null.noise.shape[0]):
-            at, size, moving = slot(window, back), usual_size(window, null, back, i), null.noise[i]
+            size, moving = usual_size(window, null, back, i), null.noise[i]
             ratio = null.residual[back, i] / (ROBUST * size)
-            lasting = max(null.inflation[i], window.lasting[at, i])
+            lasting = max(null.inflation[i], null.lasting[at, i])
             variance = moving * moving * null.inflation[i]
             variance += (size * size - moving * moving) * lasting
             variance += window.extra[at, i] + window.late[at, i]
-            null.weights[back, i] = 1.0 / (variance * np.sqrt(1.0 + ratio * ratio))
-        add_products(window, back, null.weights[back])
+            weight = 1.0 / (variance * np.sqrt(1.0 + ratio * ratio))
+            null.weights[at, i] = weight * window.trust[at]
+        add_products(window, null, back)
 
 
 @njit_in_place
-def recall(window: Window, null: Posterior) -> None:
+def recall(null: Posterior) -> None:
     """What is remembered of the arm: offsets may have been others then, and are eliminated.
 
     A slow drift of an encoder would be learned, else, as an offset that has always been there.
     """
-    m, n, known = null.mean.shape[0], null.sigma.shape[0], null.recalled
-    first = window.past.shape[1] - m
+    m, n, known, past = null.mean.shape[0], null.sigma.shape[0], null.recalled, null.past
+    first = past.shape[1] - m
     for a in range(1 + m):
         for b in range(m):
-            known[a, b] = window.past[a, first + b]
+            known[a, b] = past[a, first + b]
     for k in range(n):
         row = known[1 + k]
         pivot = row[k] + null.least[k]
@@ -225,11 +204,11 @@ def recall(window: Window, null: Posterior) -> None:
 def solve(window: Window, null: Posterior) -> None:
     """Least squares over horizon, past and prior."""
     m, n = null.mean.shape[0], null.sigma.shape[0]
-    recall(window, null)
+    recall(null)
     for a in range(1 + m):
         for b in range(m):
             null.total[a, b] = null.recalled[a, b]
-    add_balances(window, null.total)
+    add_balances(window, null, null.total)
     for a in range(m):
         for b in range(a, m):
             null.factor[a, b] = null.total[1 + a, b]
@@ -249,39 +228,38 @@ def solve(window: Window, null: Posterior) -> None:
 
 
 @njit_in_place
-def take_balances(horizon: Horizon, balance: Balance, time: float, learn: bool) -> None:
+def take_balances(horizon: Horizon, time: float, learn: bool) -> None:
     """Let the balance that is complete join the horizon, without estimating.
 
     The constant part of its rows belongs to f = 0 afterwards.  The residual and the weight of the
     last balance are written.  What leaves the horizon is remembered if ``learn``.
     """
+    balance, window, null, level = horizon.balance, horizon.window, horizon.null, horizon.level
     n, past = balance.reference.shape[0], PAST_WEIGHT if learn else -PAST_WEIGHT
-    window, slow = horizon.window, horizon.slow
     if window.counters[NEXT] % window.times.shape[0] == 0:  # drifts stay small over days
         shift = time - balance.epoch[0]
-        move_drifts(window, 1 + DRIFT * n, 1 + OFFSET * n, n, shift)
+        move_drifts(window, null, 1 + DRIFT * n, 1 + OFFSET * n, n, shift)
         move_epoch(balance, time)
     make_absolute(balance.hat.rows, balance.reference)
-    join(window, time, balance.hat.rows, past)
+    join(window, (null, level), time, balance.hat.rows, past)
     at = slot(window, 0)
     for i in range(n):
         window.poses[at, i] = balance.poses[0, i]
         window.rest[at, i] = rests(balance, i)
         window.rested[i] = window.rested[i] + 1 if window.rest[at, i] == 1.0 else 0
-    weigh(window, horizon.null, _lengthen_rests(window, window.rested, 1))
-    join(slow, time, slow.rows[0], past)
-    copy_unknowns(window, slow, 1)
-    weigh(slow, horizon.level, _lengthen_rests(slow, window.rested, window.times.shape[0]))
+    weigh(window, null, _lengthen_rests(window, null, 1))
+    weigh(window, level, _lengthen_rests(window, level, window.times.shape[0]))
 
 
 @njit_in_place
-def _lengthen_rests(window: Window, rested: IntArray, longest: int) -> int:
+def _lengthen_rests(window: Window, null: Posterior, longest: int) -> int:
     """Let friction last as long as a rest, in all of its balances; how many are to be weighed anew.
 
     That of a joint that rests does not average out, whatever the others do; in rests of a few
-    balances it only reverses.  ``rested`` is as in `Window`.  Lengths are powers of two, so that a
-    balance is weighed a few times, and ``longest`` at most.
+    balances it only reverses.  Lengths are powers of two, so that a balance is weighed a few times,
+    and ``longest`` at most.
     """
+    rested = window.rested
     last, at = 1, slot(window, 0)
     for i in range(rested.shape[0]):
         if rested[i] <= _LAGS:
@@ -289,11 +267,11 @@ def _lengthen_rests(window: Window, rested: IntArray, longest: int) -> int:
         lasting = _LAGS
         while lasting < rested[i]:
             lasting *= 2
-        window.lasting[at, i] = min(lasting, longest)
-        if 2 * (rested[i] - 1) == lasting and window.lasting[slot(window, 1), i] < longest:
+        null.lasting[at, i] = min(lasting, longest)
+        if 2 * (rested[i] - 1) == lasting and null.lasting[slot(window, 1), i] < longest:
             held = min(rested[i], window.counters[COUNT])
             for back in range(held):
-                window.lasting[slot(window, back), i] = min(lasting, longest)
+                null.lasting[slot(window, back), i] = min(lasting, longest)
             last = max(last, held)
     return last
 
@@ -302,32 +280,14 @@ def _lengthen_rests(window: Window, rested: IntArray, longest: int) -> int:
 def weigh_all(horizon: Horizon, last: int) -> None:
     """As `weigh`, for the estimate of levels as well."""
     weigh(horizon.window, horizon.null, last)
-    copy_unknowns(horizon.window, horizon.slow, last)
-    weigh(horizon.slow, horizon.level, last)
+    weigh(horizon.window, horizon.level, last)
 
 
 @njit_in_place
 def solve_all(horizon: Horizon) -> None:
     """As `solve`, for the estimate of levels as well."""
     solve(horizon.window, horizon.null)
-    solve(horizon.slow, horizon.level)
-
-
-@njit_in_place
-def copy_unknowns(source: Window, window: Window, last: int) -> None:
-    """Copy the last balances into a window without columns of faults; both hold as many."""
-    faults = source.rows.shape[2] - window.rows.shape[2]
-    for back in range(last):
-        at = slot(source, back)
-        window.trust[at] = source.trust[at]
-        for i in range(window.rest.shape[1]):
-            row, into = source.rows[at, i], window.rows[at, i]
-            into[0] = row[0]
-            for c in range(1, into.shape[0]):
-                into[c] = row[faults + c]
-            window.rest[at, i], window.extra[at, i] = source.rest[at, i], source.extra[at, i]
-            window.late[at, i] = source.late[at, i]
-        window.changed[at] = source.changed[at]
+    solve(horizon.window, horizon.level)
 
 
 @njit_in_place
@@ -456,9 +416,9 @@ def _correlation(values: FloatArray) -> float:
 
 
 @njit_in_place
-def has_moved(horizon: Horizon, balance: Balance) -> bool:
+def has_moved(horizon: Horizon) -> bool:
     """Whether an offset has surely left the point of linearisation."""
-    level, largest = horizon.level, 0.0
+    balance, level, largest = horizon.balance, horizon.level, 0.0
     for i in range(balance.reference.shape[0]):
         step = abs(level.mean[i] - balance.reference[i])
         if step > ROBUST * level.sigma[i]:
@@ -482,19 +442,18 @@ class OffsetEstimator:
         self.joints = n = len(arm.joints)
         self.typical, self.prior = about.typical, about.prior
         derived = np.where(arm.sensors().independent, 0.0, 1.0)
-        known = about.prior, about.noise, about.rest, about.dry
-        self.balance: Balance = new_balance(
+        balance = new_balance(
             about.chain, about.directions, derived, about.drives, arm.sensors_to_joints(),
             arm.scales())  # fmt: skip
-        size = len(self.prior), plan.capacity
+        faults, none = OFFSET * n, 0.0 * about.systematic
         self.horizon = Horizon(
-            new_window(n, OFFSET * n, *size, about.loads),
-            _prior_posterior(*known, 0.0 * about.systematic, plan.capacity),
-            new_window(n, 0, *size, about.loads),
-            _prior_posterior(*known, about.systematic, plan.capacity),
+            balance,
+            new_window(n, faults, len(self.prior), plan.capacity, about.loads),
+            _prior_posterior(about, none, faults, plan.capacity),
+            _prior_posterior(about, about.systematic, 0, plan.capacity),
             np.zeros(1, np.int64),
         )
-        self.window, self.posterior, self._slow, self.level, self._since = self.horizon
+        self.balance, self.window, self.posterior, self.level, self._since = self.horizon
         self.call = Entries()
 
     def __len__(self) -> int:
@@ -503,8 +462,7 @@ class OffsetEstimator:
 
     def pretend(self, balances: int) -> None:
         """Let a new horizon have so many balances, of nothing: to compile what uses them."""
-        for window in (self.window, self._slow):
-            window.counters[:] = balances
+        self.window.counters[:] = balances
 
     def place(self, back: int) -> int:
         """Index in the ring of the balance ``back`` before the last one."""
@@ -580,11 +538,11 @@ class OffsetEstimator:
     def move_reference(self, joint: int, by: float) -> None:
         """Let an offset grow [rad], as the readings do by what is no longer taken out of them."""
         self.balance.reference[joint] += by
-        for window, unknown in ((self.window, 1 + OFFSET * self.joints), (self._slow, 1)):
-            column = unknown + joint
-            window.rows[:, :, 0] -= by * window.rows[:, :, column]
-            window.past[0] -= by * window.past[1 + joint]
-            window.past[:, 0] -= by * window.past[:, column]
+        column = joint - len(self.prior)
+        self.window.rows[:, :, 0] -= by * self.window.rows[:, :, column]
+        for past in (self.posterior.past, self.level.past):
+            past[0] -= by * past[1 + joint]
+            past[:, 0] -= by * past[:, column]
         self.weigh_again(len(self))
         self._solve()
 
@@ -593,12 +551,13 @@ class OffsetEstimator:
 
         Offsets may be others from now on, and what is remembered knows of one for each sensor.
         """
-        last, m = len(self), len(self.prior)
-        for window, null in ((self.window, self.posterior), (self._slow, self.level)):
-            add_balances(window, window.past)
-            self.call(recall, window, null)
-            window.past[:, -m:], window.past[1:, 0] = null.recalled, null.recalled[0]
-            forget_newest(window, last)
+        m = len(self.prior)
+        for null in (self.posterior, self.level):
+            past = null.past
+            add_balances(self.window, null, past)
+            self.call(recall, null)
+            past[:, -m:], past[1:, 0] = null.recalled, null.recalled[0]
+        self.window.counters[:] -= len(self)
         self.call(solve_all, self.horizon)
 
     def replace_last(self, blocks: FloatArray) -> None:
@@ -648,9 +607,10 @@ class OffsetEstimator:
         self.window.rows[old] = rows
         self.window.changed[at[last - 1]] = 1.0
         self.window.trust[old[:ONSET]] = DISTRUST
-        for window, null in ((self.window, self.posterior), (self._slow, self.level)):
-            window.past[0] -= moved @ window.past[1:]
-            window.past[:, 0] -= window.past[:, -len(moved) :] @ moved
+        for null in (self.posterior, self.level):
+            past = null.past
+            past[0] -= moved @ past[1:]
+            past[:, 0] -= past[:, -len(moved) :] @ moved
             null.mean[:] += moved
         self.weigh_again(len(self))
         self._solve()
@@ -743,16 +703,19 @@ def _with_delay(
 
 
 def _prior_posterior(
-    prior: FloatArray, expected: FloatArray, rest: FloatArray, dry: FloatArray,
-    systematic: FloatArray, capacity: int,
-) -> Posterior:  # fmt: skip
-    n, m = len(expected), len(prior)
-    inflation, square = np.maximum(2.0, systematic / expected**2), np.zeros((2, 1 + m, m))
+    about: _About, systematic: FloatArray, faults: int, capacity: int
+) -> Posterior:
+    """What is known before any balance; sums have so many columns of faults."""
+    prior, noise, rest = about.prior, about.noise, about.rest
+    n, m = len(noise), len(prior)
+    inflation, past = np.maximum(2.0, systematic / noise**2), np.zeros((1 + m, 1 + faults + m))
+    residual, weights, lasting = np.zeros((3, capacity, n))
+    recalled, total = np.zeros((2, 1 + m, m))
     return Posterior(
-        np.zeros(m), np.diag(1.0 / prior), prior[:n].copy(), prior**-2, expected.copy(), expected,
-        inflation, rest.copy(), rest, dry, systematic,
-        np.zeros((capacity, n)), np.zeros((capacity, n)),
-        square[0], square[1], np.zeros((m, n)), np.zeros(capacity))  # fmt: skip
+        np.zeros(m), np.diag(1.0 / prior), prior[:n].copy(), prior**-2, noise.copy(), noise,
+        inflation, rest.copy(), rest, about.dry, systematic, residual, weights, lasting,
+        np.zeros((capacity + 1, *past.shape)), past, recalled, total, np.zeros((m, n)),
+        np.zeros(capacity))  # fmt: skip
 
 
 def _priors(arm: SerialArm, friction: FloatArray, missed: FloatArray) -> list[FloatArray]:

@@ -21,8 +21,8 @@ import numpy as np
 
 from lpv.core.serial_arm.chain import FloatArray, IntArray, compile_chain
 from lpv.core.serial_arm.description import SIGMAS, SerialArm
-from lpv.core.serial_arm.diagnosis.balance import READINGS_AT_EDGES, Balance, noise_products
-from lpv.core.serial_arm.diagnosis.estimator import PAST_WEIGHT, OffsetEstimator, Posterior
+from lpv.core.serial_arm.diagnosis.balance import READINGS_AT_EDGES, noise_products
+from lpv.core.serial_arm.diagnosis.estimator import PAST_WEIGHT, Horizon, OffsetEstimator
 from lpv.core.serial_arm.diagnosis.hat import drop_hat
 from lpv.core.serial_arm.diagnosis.healthy_balance import (
     HealthyBalance,
@@ -34,7 +34,7 @@ from lpv.core.serial_arm.diagnosis.healthy_balance import (
 from lpv.core.serial_arm.diagnosis.information import (
     COUNT,
     NEXT,
-    Window,
+    Posterior,
     add_balances,
     recent,
     slot,
@@ -103,23 +103,23 @@ class HealthyRing(NamedTuple):
 @njit_in_place
 def take_healthy(
     ring: HealthyRing,
-    window: Window,
-    balance: Balance,
+    horizon: Horizon,
     blocks: tuple[FloatArray, FloatArray],
     edges: float,
     learn: bool,
 ) -> None:
-    """Take the ``balance`` that the horizon's ``window`` is about to take.
+    """Take the balance that the horizon is about to take.
 
     ``blocks``, shape (2 B, 3 n + 4), are those of its two intervals of B blocks, with what lost
     samples hide of them, shape (2 B, n); ``edges`` as of `readings_at_edges`.  What leaves the
     horizon is remembered if ``learn``.
     """
-    capacity, last = ring.effects.shape[0], blocks[0].shape[0] // 2
+    balance, window, capacity = horizon.balance, horizon.window, ring.effects.shape[0]
+    last = blocks[0].shape[0] // 2
     if ring.balance.hat.length[0] == 0.0:
         _add(ring, balance.hat.rows, blocks[0][:last], blocks[1][:last], 0)
     if window.counters[COUNT] == capacity:
-        remember(ring, window, slot(window, capacity - 1), learn, PAST_WEIGHT)
+        remember(ring, horizon, slot(window, capacity - 1), learn, PAST_WEIGHT)
     at, n = window.counters[NEXT] % capacity, ring.mean_noise.shape[0]
     _add(ring, balance.hat.rows, blocks[0][last:], blocks[1][last:], at)
     # Poses change little within n balances: one sensor in each stands for all.
@@ -153,10 +153,11 @@ def _add(
 
 
 @njit_in_place
-def remember(ring: HealthyRing, window: Window, at: int, learn: bool, factor: float) -> None:
+def remember(ring: HealthyRing, horizon: Horizon, at: int, learn: bool, factor: float) -> None:
     """A balance leaves the horizon, as in `information.join`."""
     (m, columns), n = ring.right.shape, ring.mean_noise.shape[0]
-    first, largest = window.rows.shape[2] - m, 0.0
+    rows, weights = horizon.window.rows[at], horizon.null.weights[at]
+    first, largest = rows.shape[1] - m, 0.0
     ring.past[SLACK] *= factor
     for a in range(m):
         for c in range(columns):
@@ -164,10 +165,10 @@ def remember(ring: HealthyRing, window: Window, at: int, learn: bool, factor: fl
     if not learn:
         return
     for i in range(n):
-        weight, slack = window.weights[at, i], ring.doubts[at, 0, i] + ring.doubts[at, 2, i]
+        weight, slack = weights[i], ring.doubts[at, 0, i] + ring.doubts[at, 2, i]
         ring.past[SLACK] += weight * slack * slack
         for a in range(m):
-            share = weight * window.rows[at, i, first + a]
+            share = weight * rows[i, first + a]
             for c in range(columns - 1):
                 ring.right[a, c] += share * ring.effects[at, i, c]
             ring.right[a, columns - 1] += weight * ring.products[at, i, a]
@@ -177,7 +178,7 @@ def remember(ring: HealthyRing, window: Window, at: int, learn: bool, factor: fl
             for k in range(n):
                 both = ring.momenta[at, i, k] * ring.momenta[at, j, k]
                 noise += both * ring.mean_noise[k] * ring.mean_noise[k]
-            total += ring.shared * abs(noise) * np.sqrt(weight * window.weights[at, j])
+            total += ring.shared * abs(noise) * np.sqrt(weight * weights[j])
         largest = max(largest, total)
     # No eigenvalue is larger than the largest sum of a row.
     ring.past[NOISE] = max(ring.past[NOISE], 2.0 * largest)
@@ -220,10 +221,11 @@ class HealthySet:
         """Begin anew after a gap; called before the estimator's own restart."""
         window, null, n = self._estimator.window, self._estimator.posterior, self._estimator.joints
         for back in range(int(window.counters[COUNT]) - 1, -1, -1):
-            remember(self.ring, window, slot(window, back), True, 1.0)
+            horizon, at = self._estimator.horizon, slot(window, back)
+            self._estimator.call(remember, self.ring, horizon, at, True, 1.0)
         # As the estimator does, with what it is about to remember.
-        total, right = window.past.copy(), self.ring.right
-        add_balances(window, total)
+        total, right = null.past.copy(), self.ring.right
+        add_balances(window, null, total)
         right[n:], right[:n] = _eliminated(total, null) @ right, 0.0
         # Intervals that are not complete are forgotten.
         drop_hat(self._balance.hat)
@@ -237,16 +239,16 @@ class HealthySet:
         wanted = np.vstack([np.eye(m)[:n], self._load])
         gain = wanted @ inverse @ inverse.T
         places = recent(window, last)[::-1]
-        weighted = window.weights[places][:, :, None] * window.rows[places, :, -m:]
+        weighted = null.weights[places][:, :, None] * window.rows[places, :, -m:]
         map_ = -(weighted.reshape(-1, m) @ gain.T).T.reshape(n + 1, last, n)
         # What late efforts do not show yet may be anything: these balances count as they are.
         seen = places[: max(last - self.ring.unseen, 0)]
         map_[:, len(seen) :] = 0.0
-        from_past = -gain[:, n:] @ _eliminated(window.past, null)
+        from_past = -gain[:, n:] @ _eliminated(null.past, null)
         response = map_.reshape(n + 1, -1) @ self.ring.effects[places].reshape(last * n, -1)
         remembered = from_past @ self.ring.right
         response += remembered[:, :-1]
-        products = window.weights[seen].ravel() @ self.ring.products[seen].reshape(-1, m)
+        products = null.weights[seen].ravel() @ self.ring.products[seen].reshape(-1, m)
         mean = remembered[:, -1] - gain @ products
         doubts = self.ring.doubts[places]
         slack = np.abs(map_).reshape(n + 1, -1) @ (doubts[:, 0] + doubts[:, 2]).ravel()
@@ -298,7 +300,7 @@ class HealthySet:
 def _eliminated(past: FloatArray, null: Posterior) -> FloatArray:
     """T of `recall`: right sides on the parameters, with offsets eliminated, (m - n, m).
 
-    ``past`` is that of `Window`.
+    ``past`` is that of `Posterior`.
     """
     n, m = len(null.sigma), len(null.mean)
     known = past[1:, -m:]

@@ -27,7 +27,7 @@ def probability(odds: float) -> float:
 
 
 class Window(NamedTuple):
-    """The last balances of an arm; rings, except for ``past``.
+    """The last balances of an arm; rings.
 
     Columns of a row are the constant part, h columns of faults, m columns of unknowns.
     """
@@ -35,20 +35,13 @@ class Window(NamedTuple):
     rows: FloatArray  # (capacity, n, 1 + h + m) of each balance
     times: FloatArray  # (capacity,) end of each [s]
     trust: FloatArray  # (capacity,) factor of weights, small where something acted from outside
-    weights: FloatArray  # (capacity, n) with which each counts, trust included
     poses: FloatArray  # (capacity, n) positions in its middle [rad]
     momenta: FloatArray  # (capacity, n, n) those by unit rates of the readings there, M S^-1
     rest: FloatArray  # (capacity, n) 1 where the joint rests or reverses
-    lasting: FloatArray  # (capacity, n) balances for which its friction there stays as it is
     rested: IntArray  # (n,) balances for which the joint has rested so far
     # (capacity, n) variance by noise, and by errors of readings that are followed [N2 m2 s2]
     extra: FloatArray
     late: FloatArray  # (capacity, n) variance by stamps that were wrong there [N2 m2 s2]
-    # (capacity + 1, 1 + m, 1 + h + m) sum of A^T W A before each balance, rows of the constant part
-    # and of the unknowns
-    sums: FloatArray
-    # (1 + m, 1 + h + m) of balances that have left; its columns of faults mean nothing
-    past: FloatArray
     loads: FloatArray  # (L, m) unit changes of the load, by the unknowns
     changed: FloatArray  # (capacity,) 1 where the load was another one until this balance
     carried: FloatArray  # (capacity, L) change of the load since, as estimated and taken out
@@ -57,21 +50,49 @@ class Window(NamedTuple):
     counters: IntArray  # (2,)
 
 
+class Posterior(NamedTuple):
+    """Estimate of m offsets and parameters of n joints from all balances of the horizon."""
+
+    mean: FloatArray  # (m,) offsets [rad], then parameters, in the order of the columns of balances
+    factor: FloatArray  # U of the information matrix U^T U, shape (m, m)
+    sigma: FloatArray  # standard deviations of the offsets, shape (n,) [rad]
+    least: FloatArray  # information of the prior, shape (m,)
+    noise: FloatArray  # (n,) usual size of what is left of a balance [N m s]
+    expected: FloatArray  # (n,) the same before any was seen [N m s]
+    inflation: FloatArray  # (n,) factor of its variance, since it is correlated in time
+    # (n,) as `noise` where a joint rests or reverses, over `noise`: friction of any size
+    rest: FloatArray
+    expected_rest: FloatArray  # (n,) the same before any was seen
+    dry: FloatArray  # (n,) usual size of friction in a long rest [N m s]
+    systematic: FloatArray  # (n,) smallest variance, with correlation in time [N2 m2 s2]
+    residual: FloatArray  # what the estimate leaves, newest first, shape (capacity, n) [N m s]
+    # (capacity, n) rings: inverse variance of each balance, trust included, and for how many
+    # balances a joint's friction there stays as it is
+    weights: FloatArray
+    lasting: FloatArray
+    # (capacity + 1, 1 + m, 1 + h + m) ring: sum of A^T W A before each balance, rows of the
+    # constant part and of the unknowns; with columns of faults where they are wanted
+    sums: FloatArray
+    # (1 + m, 1 + h + m) of balances that have left; its columns of faults mean nothing
+    past: FloatArray
+    recalled: FloatArray  # (1 + m, m) what is remembered of the arm
+    total: FloatArray  # (1 + m, m) scratch
+    inverse: FloatArray  # (m, n) scratch
+    sizes: FloatArray  # (capacity,) scratch
+
+
 def new_window(joints: int, faults: int, unknowns: int, capacity: int, loads: FloatArray) -> Window:
     """Empty window of balances of n joints, with h columns of faults and m of unknowns.
 
     ``loads`` are as in `Window`.
     """
-    size, loads = 1 + faults + unknowns, np.ascontiguousarray(loads)
+    each = capacity, joints
+    rest, extra, late, explained = np.zeros((4, *each))
     return Window(
-        np.zeros((capacity, joints, size)), np.zeros(capacity), np.ones(capacity),
-        np.zeros((capacity, joints)), np.zeros((capacity, joints)),
-        np.zeros((capacity, joints, joints)), np.zeros((capacity, joints)),
-        np.zeros((capacity, joints)), np.zeros(joints, np.int64), np.zeros((capacity, joints)),
-        np.zeros((capacity, joints)),
-        np.zeros((capacity + 1, 1 + unknowns, size)), np.zeros((1 + unknowns, size)), loads,
-        np.zeros(capacity), np.zeros((capacity, len(loads))), np.zeros((capacity, joints)),
-        np.zeros(unknowns), np.zeros(2, np.int64))  # fmt: skip
+        np.zeros((*each, 1 + faults + unknowns)), np.zeros(capacity), np.ones(capacity),
+        np.zeros(each), np.zeros((*each, joints)), rest, np.zeros(joints, np.int64), extra, late,
+        np.ascontiguousarray(loads), np.zeros(capacity), np.zeros((capacity, len(loads))),
+        explained, np.zeros(unknowns), np.zeros(2, np.int64))  # fmt: skip
 
 
 @njit_in_place
@@ -87,7 +108,9 @@ def sum_slot(window: Window, last: int) -> int:
 
 
 @njit_in_place
-def join(window: Window, time: float, rows: FloatArray, past: float) -> None:
+def join(
+    window: Window, every: tuple[Posterior, ...], time: float, rows: FloatArray, past: float
+) -> None:
     """Append a balance; `add_products` adds its products.
 
     ``rows``, shape (n, 1 + h + m), hold the constant part and derivatives.  Where a balance leaves
@@ -96,15 +119,8 @@ def join(window: Window, time: float, rows: FloatArray, past: float) -> None:
     """
     capacity = window.times.shape[0]
     if window.counters[COUNT] == capacity:
-        if window.changed[slot(window, capacity - 1)] == 1.0:
-            forget_load(window, window.past)
-        gone = window.sums[sum_slot(window, capacity)]
-        kept = window.sums[sum_slot(window, capacity - 1)]
-        for a in range(gone.shape[0]):
-            for b in range(gone.shape[1]):
-                window.past[a, b] *= abs(past)
-                if past > 0.0:
-                    window.past[a, b] = window.past[a, b] + kept[a, b] - gone[a, b]
+        for null in every:
+            _remember_oldest(window, null, past)
         window.counters[COUNT] -= 1
     window.counters[NEXT] += 1
     window.counters[COUNT] += 1
@@ -116,10 +132,26 @@ def join(window: Window, time: float, rows: FloatArray, past: float) -> None:
     window.trust[at] = 1.0
     window.extra[at] = 0.0
     window.late[at] = 0.0
-    window.lasting[at] = 0.0
     window.changed[at] = 0.0
     window.carried[at] = 0.0
     window.explained[at] = 0.0
+    for null in every:
+        null.lasting[at] = 0.0
+
+
+@njit_in_place
+def _remember_oldest(window: Window, null: Posterior, past: float) -> None:
+    """Let a balance leave the sums of a full window, as of `join`."""
+    capacity = window.times.shape[0]
+    if window.changed[slot(window, capacity - 1)] == 1.0:
+        forget_load(window, null.past)
+    gone = null.sums[sum_slot(window, capacity)]
+    kept = null.sums[sum_slot(window, capacity - 1)]
+    for a in range(gone.shape[0]):
+        for b in range(gone.shape[1]):
+            null.past[a, b] *= abs(past)
+            if past > 0.0:
+                null.past[a, b] = null.past[a, b] + kept[a, b] - gone[a, b]
 
 
 @njit_in_place
@@ -127,8 +159,8 @@ def forget_load(window: Window, total: FloatArray) -> None:
     """Let a total of products say nothing of the load: it has changed since, nobody knows how.
 
     A change of unit covariance along each g of ``loads`` is added to the unknowns: the information
-    K becomes K - K g g^T K / (1 + g^T K g).  ``total`` is as `Window.past`, or has its columns of
-    the unknowns alone.
+    K becomes K - K g g^T K / (1 + g^T K g).  ``total`` is as `Posterior.past`, or has its columns
+    of the unknowns alone.
     """
     m, along = window.along.shape[0], window.along
     first = total.shape[1] - m
@@ -150,21 +182,21 @@ def forget_load(window: Window, total: FloatArray) -> None:
 
 
 @njit_in_place
-def add_balances(window: Window, total: FloatArray) -> None:
+def add_balances(window: Window, null: Posterior, total: FloatArray) -> None:
     """Add all balances to a total as of `forget_load`, of unknowns with the load of now."""
     oldest = window.counters[COUNT]
     for back in range(oldest - 1, -1, -1):
         if window.changed[slot(window, back)] == 1.0:
-            _add_sums(window, total, back + 1, oldest)
+            _add_sums(window, null, total, back + 1, oldest)
             forget_load(window, total)
             oldest = back + 1
-    _add_sums(window, total, 0, oldest)
+    _add_sums(window, null, total, 0, oldest)
 
 
 @njit_in_place
-def _add_sums(window: Window, total: FloatArray, newest: int, oldest: int) -> None:
+def _add_sums(window: Window, null: Posterior, total: FloatArray, newest: int, oldest: int) -> None:
     """Add the last ``oldest`` balances but for the last ``newest`` ones."""
-    new, old = window.sums[sum_slot(window, newest)], window.sums[sum_slot(window, oldest)]
+    new, old = null.sums[sum_slot(window, newest)], null.sums[sum_slot(window, oldest)]
     first = new.shape[1] - total.shape[1]
     for a in range(total.shape[0]):
         for b in range(total.shape[1]):
@@ -172,38 +204,32 @@ def _add_sums(window: Window, total: FloatArray, newest: int, oldest: int) -> No
 
 
 @njit_in_place
-def add_products(window: Window, back: int, weights: FloatArray) -> None:
-    """Write the sum behind a balance, from the sum before it.
+def add_products(window: Window, null: Posterior, back: int) -> None:
+    """Write the sum behind a balance, from the sum before it, by its weights.
 
-    ``back`` balances come after it.  ``weights``, shape (n,), are its inverse variances; its trust
-    is a factor of them.
+    ``back`` balances come after it.
     """
     at, old, new = slot(window, back), sum_slot(window, back + 1), sum_slot(window, back)
-    unknowns, columns = window.past.shape
-    faults = columns - unknowns
+    unknowns, columns = null.past.shape
+    first = window.rows.shape[2] - columns  # columns of faults that the sums leave out
     for a in range(unknowns):
         for b in range(columns):
-            window.sums[new, a, b] = window.sums[old, a, b]
-    for i in range(weights.shape[0]):
-        row, weight = window.rows[at, i], weights[i] * window.trust[at]
-        window.weights[at, i] = weight
+            null.sums[new, a, b] = null.sums[old, a, b]
+    for i in range(window.rows.shape[1]):
+        row, own, weight = window.rows[at, i], window.rows[at, i, first:], null.weights[at, i]
         for a in range(unknowns):
-            entry = row[0] if a == 0 else row[faults + a]
-            factor, into = weight * entry, window.sums[new, a]
+            entry = row[0] if a == 0 else own[columns - unknowns + a]
+            factor, into = weight * entry, null.sums[new, a]
             if factor != 0.0:
-                for b in range(columns):
-                    into[b] += factor * row[b]
+                into[0] += factor * row[0]
+                for b in range(1, columns):
+                    into[b] += factor * own[b]
 
 
 @njit_in_place
-def forget_newest(window: Window, count: int) -> None:
-    """Drop the last balances."""
-    window.counters[NEXT] -= count
-    window.counters[COUNT] -= count
-
-
-@njit_in_place
-def move_drifts(window: Window, drift: int, offset: int, joints: int, shift: float) -> None:
+def move_drifts(
+    window: Window, null: Posterior, drift: int, offset: int, joints: int, shift: float
+) -> None:
     """Let drifts count from a moment that is later by ``shift``, and sums from the oldest balance.
 
     A drift's column is t - epoch times the offset's: both stay small over days.  ``drift`` and
@@ -212,12 +238,11 @@ def move_drifts(window: Window, drift: int, offset: int, joints: int, shift: flo
     last = window.counters[COUNT]
     oldest = sum_slot(window, last)
     for back in range(last + 1):  # the oldest one last: it becomes zero
-        at = sum_slot(window, back)
-        sums = window.sums[at]
-        for a in range(sums.shape[0]):
-            for b in range(sums.shape[1]):
-                sums[a, b] -= window.sums[oldest, a, b]
-        _shift_drifts(sums, drift, offset, joints, shift)
+        one = null.sums[sum_slot(window, back)]
+        for a in range(one.shape[0]):
+            for b in range(one.shape[1]):
+                one[a, b] -= null.sums[oldest, a, b]
+        _shift_drifts(one, drift, offset, joints, shift)
     for at in range(window.rows.shape[0]):
         _shift_drifts(window.rows[at], drift, offset, joints, shift)
 

@@ -16,9 +16,10 @@ from lpv.core.serial_arm.diagnosis.contact import (
     watch_noise,
     weigh_residuals,
 )
-from lpv.core.serial_arm.diagnosis.estimator import ONSET, Posterior, set_residuals
+from lpv.core.serial_arm.diagnosis.estimator import ONSET, set_residuals
 from lpv.core.serial_arm.diagnosis.information import (
     COUNT,
+    Posterior,
     Window,
     slot,
     solve_factorised,
@@ -124,7 +125,7 @@ def gather(
     for w in range(count):
         length = evidence.lengths[w]
         for back in range(summed, max(length - ONSET, 0)):
-            _add_grams(evidence.grams, window, back)
+            _add_grams(evidence.grams, window, null.weights, back)
             summed = back + 1
         first = slot(window, length - 1)
         evidence.begin[w] = window.times[first] - times[1]
@@ -198,7 +199,7 @@ def explain(
                 column += basis[g] * row[1 + g * n + i]
             window.explained[here, j] = evidence.size[k, i, w] * column
             for a in range(m):
-                moved[a] -= row[first + a] * window.weights[here, j] * window.explained[here, j]
+                moved[a] -= row[first + a] * null.weights[here, j] * window.explained[here, j]
     # The estimate of the arm's unknowns would be another one.
     solve_factorised(null.factor, moved)
     for back in range(window.counters[COUNT]):
@@ -217,11 +218,11 @@ def _zero(evidence: Evidence, kinds: Kinds, place: tuple[int, int, int], epoch: 
 
 
 @njit_in_place
-def _add_grams(grams: FloatArray, window: Window, back: int) -> None:
+def _add_grams(grams: FloatArray, window: Window, weights: FloatArray, back: int) -> None:
     """Add a balance's products of the columns that no cumulative sums are kept of."""
     at, n = slot(window, back), grams.shape[0]
     for i in range(n):
-        row, weight = window.rows[at, i], window.weights[at, i]
+        row, weight = window.rows[at, i], weights[at, i]
         for j in range(n):
             drift, scale = row[1 + DRIFT * n + j], row[1 + SCALE * n + j]
             rate, gain = row[1 + RATE * n + j], row[1 + GAIN * n + j]
@@ -244,7 +245,8 @@ def _sensor_columns(
     """
     n, m = evidence.grams.shape[0], null.mean.shape[0]
     last = max(evidence.lengths[w] - ONSET, 0)
-    new, old = window.sums[sum_slot(window, 0)], window.sums[sum_slot(window, last)]
+    sums = null.sums
+    new, old = sums[sum_slot(window, 0)], sums[sum_slot(window, last)]
     width, cross = JUMP * n, evidence.columns
     score, information = evidence.score[w], evidence.information[w]
     # Columns of a row: the constant part, six of each sensor; the last two are unknowns, too.
@@ -287,11 +289,11 @@ def _jump_columns(evidence: Evidence, window: Window, null: Posterior, w: int) -
     if length < ONSET:
         return
     older, newer = slot(window, length - 1), slot(window, length - ONSET)
-    mass = window.momenta[older]
+    mass, weights = window.momenta[older], null.weights
     for i in range(n):
         # Something that acted from outside may have taken all weight.
-        both = window.weights[older, i] + window.weights[newer, i]
-        weight = window.weights[older, i] * window.weights[newer, i] / both if both > 0.0 else 0.0
+        both = weights[older, i] + weights[newer, i]
+        weight = weights[older, i] * weights[newer, i] / both if both > 0.0 else 0.0
         left = null.residual[length - 1, i] + null.residual[length - ONSET, i]
         for j in range(n):
             # Without the error of its rate, the momentum is less by M S^-1 e_j.

@@ -246,7 +246,7 @@ class SerialMonitor:
         """Give decisions what they are made of."""
         one = self.estimator
         self.parts = Parts(
-            memory(self._memory), self.sampler, one.balance, one.horizon, self._healthy.ring,
+            memory(self._memory), self.sampler, one.horizon, self._healthy.ring,
             self.bank.parts, one.prior, self._known, self._certified, self._beyond, *self._recent,
         )  # fmt: skip
 

@@ -34,8 +34,8 @@ from lpv.core.serial_arm.diagnosis.drift_trial import (
     new_found,
     new_trials,
 )
-from lpv.core.serial_arm.diagnosis.estimator import ONSET, OffsetEstimator, Posterior, set_residuals
-from lpv.core.serial_arm.diagnosis.information import Window, recent, whiten
+from lpv.core.serial_arm.diagnosis.estimator import ONSET, OffsetEstimator, set_residuals
+from lpv.core.serial_arm.diagnosis.information import Posterior, recent, whiten
 from lpv.core.serial_arm.diagnosis.priors import SIZE
 from lpv.core.serial_arm.diagnosis.sampler import block_end
 
@@ -195,7 +195,7 @@ def _scores(
     back = np.arange(ONSET, last - 1)
     estimator.call(set_residuals, window, null, last)
     at, left = recent(window, last), null.residual[:last, :, None]
-    rows, weights = window.rows[at], window.weights[at][:, :, None]
+    rows, weights = window.rows[at], null.weights[at][:, :, None]
     # Axes: balance, row, joint.  Products with the unknowns' columns are U^-T of them.
     column, offset = (rows[:, :, 1 + group * n + joints] for group in (fault.group, OFFSET))
     offset = offset * (fault.group == DRIFT)
@@ -274,16 +274,16 @@ def whitened(null: Posterior, rows: FloatArray) -> FloatArray:
 
 
 def weigh_errors(
-    estimator: OffsetEstimator, window: Window, null: Posterior, errors: FloatArray
+    estimator: OffsetEstimator, null: Posterior, errors: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Score and information of errors of the last balances, unknowns integrated out, shape (...).
 
     ``errors``, shape (..., L, n), are those of the newest balance first.
     """
-    last, m = errors.shape[-2], len(null.mean)
+    last, m, window = errors.shape[-2], len(null.mean), estimator.window
     estimator.call(set_residuals, window, null, last)
     at = recent(window, last)
-    weighted = (window.weights[at] * errors).reshape(*errors.shape[:-2], -1)
+    weighted = (null.weights[at] * errors).reshape(*errors.shape[:-2], -1)
     cross = whitened(null, weighted @ window.rows[at, :, -m:].reshape(-1, m))
     own = (weighted * errors.reshape(weighted.shape)).sum(-1)
     left = null.residual[:last].ravel()

@@ -91,7 +91,7 @@ class ScaleOfJump:
         # Columns are those of readings from the point of linearisation on.
         began = self.reading - estimator.balance.reference[self.joint]
         column = column - began * window.rows[at, :, 1 + OFFSET * n + self.joint]
-        score, square = weigh_errors(estimator, window, null, column)
+        score, square = weigh_errors(estimator, null, column)
         known = self.sigma**-2
         power, pull = known + float(square), self.size * known + float(score)
         return 0.5 * (pull**2 / power - self.size**2 * known - float(np.log(power / known)))

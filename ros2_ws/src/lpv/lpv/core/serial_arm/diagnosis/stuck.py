@@ -14,13 +14,8 @@ import numpy.typing as npt
 from lpv.core.serial_arm.chain import FloatArray, IntArray
 from lpv.core.serial_arm.diagnosis.balance import OFFSET, RATE
 from lpv.core.serial_arm.diagnosis.drift_trial import free_of_drift
-from lpv.core.serial_arm.diagnosis.estimator import (
-    UNMEASURED,
-    OffsetEstimator,
-    Posterior,
-    set_residuals,
-)
-from lpv.core.serial_arm.diagnosis.information import ROBUST, factorise, recent, whiten
+from lpv.core.serial_arm.diagnosis.estimator import UNMEASURED, OffsetEstimator, set_residuals
+from lpv.core.serial_arm.diagnosis.information import ROBUST, Posterior, factorise, recent, whiten
 from lpv.core.serial_arm.diagnosis.priors import (
     ACCELERATIONS,
     LEAST_ACCELERATION,
@@ -119,7 +114,7 @@ def course_of_frozen(
     cross = (root * free).T @ every
     # What the unknowns explain: by these balances as evaluated anew, in place of as they were.
     upper, old = np.triu(null.factor), old.reshape(-1, rows.shape[2])[:, -free.shape[1] :]
-    held = estimator.window.weights[at].reshape(-1, 1) * old
+    held = null.weights[at].reshape(-1, 1) * old
     known = upper.T @ upper + forced.T @ free - held.T @ old
     # By these weights they are others than estimated.
     slope = (forced - held).T @ before.reshape(-1, 1)
