@@ -127,7 +127,7 @@ def _know_nothing_wrong(parts: Parts, one: Answering, stamp: int) -> None:
     """Write what holds from a sample on, where nothing is suspected and no reading noisy."""
     state, level, known, flags = parts.state[0], parts.horizon.level, one.known, one.flags[0]
     scale = parts.horizon.balance.scale
-    widest, smallest, sigmas = state.limits[0], state.limits[1], state.limits[2]
+    sigmas = state.sigmas
     for i in range(known.fault.shape[0]):
         # An offset that is not confirmed may be none.
         sigma = max(level.sigma[i], abs(level.mean[i]) / sigmas)
@@ -136,9 +136,9 @@ def _know_nothing_wrong(parts: Parts, one: Answering, stamp: int) -> None:
         known.rate[i] = known.growth[i] = parts.sampler.drift[i]
         known.rate_error[i] = 0.0
         known.bound[i] = sigmas * sigma
-        known.threshold[i] = max(sigmas * sigma, smallest * scale[i])
+        known.threshold[i] = max(sigmas * sigma, state.smallest * scale[i])
         known.limit[i], known.noise[i] = smallest_jump(parts.sampler, i), 0.0
         known.is_error[i] = False
-        known.state[i] = NOT_DIAGNOSABLE if sigma > widest * scale[i] else OK
+        known.state[i] = NOT_DIAGNOSABLE if sigma > state.widest * scale[i] else OK
     flags.stamp, flags.trustworthy, flags.inconsistent = stamp, True, False
     flags.mode, flags.until = _OBSERVING, stamp + UNWATCHED

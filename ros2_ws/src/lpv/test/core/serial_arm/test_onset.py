@@ -82,7 +82,7 @@ def dense_contact(outside, null, residual):
 
 
 def test_given_residuals_when_rough_torques_explain_them_then_as_by_dense_matrices(monitor):
-    outside, null = monitor.bank.parts.outside, monitor.estimator.posterior
+    outside, null = monitor.bank.parts.evidence.outside, monitor.estimator.posterior
     contact.watch_noise(outside, null)
     null.residual[:] = 3.0 * null.noise * np.random.default_rng(1).normal(size=null.residual.shape)
     last, newest = len(outside.rough), 2

@@ -29,7 +29,6 @@ from lpv.core.serial_arm.chain import BoolArray, FloatArray
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.serial_arm.diagnosis.balance import DRIFT, GAIN, OFFSET, RATE, SCALE, TORQUE
 from lpv.core.serial_arm.diagnosis.contact import (
-    Contact,
     force_levers,
     joint_levers,
     new_contact,
@@ -56,7 +55,6 @@ from lpv.core.serial_arm.diagnosis.linear_bank import (
     STARTS,
     Evidence,
     Kinds,
-    Rows,
     explain,
     gather,
     new_evidence,
@@ -212,20 +210,17 @@ class Bank:
         self._outside = new_contact(max(lengths[-1], ONSET + 1), push, plan.interval, plan.capacity)
         self._derived = estimator.balance.derived == 1.0
         self.kinematics = KinematicRows(arm, plan)
-        self._hypotheses()
         self._evidence = new_evidence(
-            self._lengths, self._starts, self._kinds, len(estimator.prior)
-        )
+            self._hypotheses(), self._outside, (self._lengths, self._starts), plan.interval,
+            arm.joints_to_sensors(), len(estimator.prior))  # fmt: skip
         state = new_record(BANK_STATE, statistic=-np.inf)
         self._state = plain(state)
         self.parts = BankParts(
-            self._kinds, self._evidence, self._outside, self.kinematics.parts,
-            new_rows(len(lengths), n), np.zeros((n, n)),
-            arm.sensors_to_joints().T.copy(), arm.joints_to_sensors(), np.zeros(n), np.zeros(n),
-            memory(state),
-            plan.interval, self._log_weight, self._recent)  # fmt: skip
+            self._evidence, self.kinematics.parts, np.zeros((n, n)),
+            arm.sensors_to_joints().T.copy(), memory(state), self._log_weight, self._recent,
+        )  # fmt: skip
 
-    def _hypotheses(self) -> None:
+    def _hypotheses(self) -> Kinds:
         """Kinds with their columns as sums of the seven, priors, and the sensors they apply to.
 
         Columns of drifts and scale errors are zero where these begin, which `gather` adds: by what
@@ -269,10 +264,10 @@ class Bank:
         windows = np.array([
             len(recent) if kind in growing else np.count_nonzero(recent) for kind in names
         ])  # fmt: skip
-        self._kinds = Kinds(basis, prior, applies, windows, older)
         loads = len(self.estimator.window.loads) > 0
         # Onsets beside rates are those of windows, told more exactly.
         self._log_weight = float(-np.log(3 + applies.sum() + n + derived.sum() + loads))
+        return Kinds(basis, prior, applies, windows, older)
 
     @property
     def statistic(self) -> float:
@@ -333,11 +328,11 @@ class Bank:
 
     def _linear(self, count: int) -> np.ndarray:
         """Rows of faults that are linear in their size, of the evidence."""
-        one, kinds = self._evidence, self._kinds
+        one = self._evidence
         k, i, w = at = np.nonzero(one.gain[..., :count] > -np.inf)
         rows = _rows(
             len(k), kind=self._places[k], joint=i, gain=one.gain[at], size=one.size[at],
-            sigma=one.sigma[at], begin=one.begin[w] - kinds.older[k, w],
+            sigma=one.sigma[at], begin=one.begin[w] - one.kinds.older[k, w],
             starts=self._starts[w])  # fmt: skip
         # Rows are linear in small errors alone.
         end, scale = float(self.estimator.times(1)[0]), self.estimator.balance.scale
@@ -636,18 +631,11 @@ class Bank:
 class BankParts(NamedTuple):
     """Memory of the bank."""
 
-    kinds: Kinds
     evidence: Evidence
-    outside: Contact
     kinematics: Kinematics
-    rows: Rows
     matrix: FloatArray  # (n, n) scratch
     mixing: FloatArray  # (n, n) S^-T
-    to_sensors: FloatArray  # (n, n) S
-    unseen: FloatArray  # (n,) largest jump of each reading that may not have been seen [rad]
-    noise: FloatArray  # (n,) variance of a balance's change of a derived rate, by noise [rad2/s2]
     state: np.ndarray  # memory of a record of `BANK_STATE`
-    interval: float  # [s]
     log_weight: float  # of a hypothesis
     recent: int  # balances in which causes of all kinds may have begun
 
@@ -664,7 +652,7 @@ def take_rows(bank: BankParts, horizon: Horizon, blocks: FloatArray, sampler: Sa
         rounded = rounding_step(sampler, i) ** 2 / 6.0  # both ends of a row
         bank.kinematics.ends[i] = max(bank.kinematics.stated[i], rounded)
     if independent:
-        take_row(bank.kinematics, blocks, bank.interval)
+        take_row(bank.kinematics, blocks, bank.evidence.interval)
     mass_matrix(balance.chain, window.poses[at], balance.work, bank.matrix)
     for i in range(n):
         map_vector(bank.mixing, bank.matrix[i], window.momenta[at, i])
@@ -685,36 +673,33 @@ def ask_bank(
     written.  ``block``, shape (3 n + 4,), is the last one; ``rests`` says that a reading is
     conspicuous because it rests.
     """
-    balance, window, null, state = horizon.balance, horizon.window, horizon.null, bank.state[0]
-    lengths, n = bank.evidence.lengths, bank.matrix.shape[0]
-    own, rows, quiet = bank.kinematics, bank.rows, QUIET * threshold
+    evidence, own, state = bank.evidence, bank.kinematics, bank.state[0]
+    rows, interval, quiet = evidence.rows, evidence.interval, QUIET * threshold
     state.waited += 1
-    if state.waited < QUIET_EVERY and not rests and not loudest_window(own, bank.interval) > quiet:
+    if state.waited < QUIET_EVERY and not rests and not loudest_window(own, interval) > quiet:
         return False
     # What is left of a fault that was corrected would pass for a drift that began before.
-    longest = min(state.age, max(bank.recent, state.unchanged), window.counters[COUNT] - 1)
+    longest = min(state.age, max(bank.recent, state.unchanged), horizon.window.counters[COUNT] - 1)
     state.windows = 0
-    for length in lengths:
+    for length in evidence.lengths:
         state.windows += length <= longest
     if state.windows == 0:
         state.statistic = -np.inf
         return False
     rows.span[:], rows.weight[:], rows.found[:] = 0.0, 0.0, 0.0
-    for i in range(n):
-        rows.reading[i] = block[i] - balance.reference[i]
-        bank.unseen[i] = smallest_jump(sampler, i)
-        bank.noise[i] = rate_noise(sampler, i, bank.interval)
-    sum_rows(own, bank.interval, lengths[: state.windows], rows)
-    every, pushed = gather(
-        bank.evidence, bank.kinds, window, null, bank.outside, rows, bank.to_sensors,
-        (balance.epoch[0], bank.interval), bank.unseen, bank.noise, state.windows)  # fmt: skip
+    for i in range(evidence.noise.shape[0]):
+        rows.reading[i] = block[i] - horizon.balance.reference[i]
+        evidence.unseen[i] = smallest_jump(sampler, i)
+        evidence.noise[i] = rate_noise(sampler, i, interval)
+    sum_rows(own, interval, evidence.lengths[: state.windows], rows)
+    every, pushed = gather(evidence, horizon, state.windows)
     state.statistic = np.logaddexp(every, pushed) + bank.log_weight
     found = not state.statistic < quiet
     if found:
-        explain(bank.evidence, bank.kinds, window, null, rows, balance.epoch[0], state.windows)
+        explain(evidence, horizon, state.windows)
     else:
-        window.explained[:] = 0.0
+        horizon.window.explained[:] = 0.0
         if own.held[0] > 1:
-            learn_rows(own, bank.interval)
+            learn_rows(own, interval)
     state.waited = QUIET_EVERY if found else 0
     return rests or found

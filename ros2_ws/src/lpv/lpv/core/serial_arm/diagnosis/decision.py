@@ -13,6 +13,7 @@ from lpv.core.serial_arm.chain import FloatArray
 from lpv.core.serial_arm.diagnosis.balance import OFFSET, RATE, READINGS_AT_EDGES
 from lpv.core.serial_arm.diagnosis.bank import BankParts, ask_bank, take_rows
 from lpv.core.serial_arm.diagnosis.estimator import (
+    HORIZON,
     INTERVAL,
     NOISE_SAMPLES,
     UNMEASURED,
@@ -23,7 +24,7 @@ from lpv.core.serial_arm.diagnosis.estimator import (
     weigh_all,
 )
 from lpv.core.serial_arm.diagnosis.healthy_set import HealthyRing, take_healthy
-from lpv.core.serial_arm.diagnosis.information import NEXT, Posterior, Window, slot
+from lpv.core.serial_arm.diagnosis.information import NEXT, slot
 from lpv.core.serial_arm.diagnosis.published_rates import readings_at_edges
 from lpv.core.serial_arm.diagnosis.sampler import BLOCKS, JITTER, PROBED, Sampler, readings_in_jump
 from lpv.core.support.jit import njit_in_place
@@ -70,7 +71,11 @@ DECISION = record_type(
     ('active', '?'),  # alarms are up that may end
     ('usual', '?'),  # nothing of all this, and no alarm
     ('threshold', 'f8'),  # of the statistic
-    ('limits', 'f8', (7,)),  # as of `find_levels`
+    ('widest', 'f8'),  # standard deviation of an offset that says nothing, times scale [rad]
+    ('smallest', 'f8'),  # level that is a fault, times scale [rad]
+    ('sigmas', 'f8'),  # standard deviations in a bound
+    ('at_start', 'f8'),  # log Bayes factor that an offset needs within the first horizon
+    ('later', 'f8'),  # and later
     ('sample_time', 'f8'),  # [s]
     ('held', 'i8'),  # samples of the newest balance, and those that wait
     # What was found:
@@ -81,6 +86,8 @@ DECISION = record_type(
 
 
 Certified = tuple[FloatArray, FloatArray, npt.NDArray[np.bool_]]
+"""Offsets by an observer that certifies them, the bounds of a healthy arm, both of shape (n,)
+[rad], and whether they hold, shape (1,)."""
 
 
 class Parts(NamedTuple):
@@ -91,9 +98,11 @@ class Parts(NamedTuple):
     horizon: Horizon
     healthy: HealthyRing
     bank: BankParts
-    prior: FloatArray  # as of `find_levels`, as those that follow
-    known: FloatArray
+    prior: FloatArray  # (m,) standard deviations if nothing is known, the offsets' first [rad]
+    known: FloatArray  # (n,) for how long each offset has been diagnosable [s]
     certified: Certified
+    # (2, n) log Bayes factors of offsets that are beyond a healthy arm by the horizon; 1 where the
+    # other observer excludes one, and the horizon does not contradict; all else is 0
     beyond: FloatArray
     recent: FloatArray  # (2 B, 3 n + 4) the B blocks of each of the last two intervals
     lost: FloatArray  # (2 B, n) what samples lost in these may hide, as of `Sampler.lost`
@@ -106,37 +115,30 @@ def reading_noise(sampler: Sampler, i: int) -> float:
 
 
 @njit_in_place
-def leave_out_missing(window: Window, sampler: Sampler, samples: int) -> bool:
-    """Of joints whose efforts are missing the last balance says nothing; true if there are any.
-
-    ``samples`` are those between a missing effort and the last balance without it.
-    """
-    some = False
-    for i in range(sampler.measured.shape[0]):
-        if sampler.measured[i] < samples:
+def _leave_out_missing(parts: Parts) -> None:
+    """Of joints whose efforts are missing the last balance says nothing."""
+    window, measured, some = parts.horizon.window, parts.sampler.measured, False
+    for i in range(measured.shape[0]):
+        if measured[i] < parts.state[0].held:
             window.extra[slot(window, 0), i], some = UNMEASURED, True
-    return some
+    if some:
+        weigh_all(parts.horizon, 1)
 
 
 @njit_in_place
-def add_noise(
-    window: Window,
-    null: Posterior,
-    sampler: Sampler,
-    interval: tuple[float, int],
-    blocks: FloatArray,
-) -> bool:
+def _add_noise(parts: Parts) -> None:
     """Balances of readings that are noisy, rounded, or off their stamps say less than others.
 
-    The variance of the last balance is raised; true if it says less.  ``blocks``, shape
-    (2 B, 3 n + 4), are its blocks.  ``interval`` is the length of an interval [s] with the number
-    of its samples.
+    The variance of the last balance is raised.
     """
-    n, at, less = sampler.scale.shape[0], slot(window, 0), False
+    sampler, window, noise = parts.sampler, parts.horizon.window, parts.horizon.null.noise
+    interval = parts.bank.evidence.interval
+    samples = round(interval / parts.state[0].sample_time)
+    n, at, less = noise.shape[0], slot(window, 0), False
     for i in range(n):
         rounded, noisy, late = 0.0, 0.0, 0.0
         for j in range(n):
-            edges = window.momenta[at, i, j] / interval[0]
+            edges = window.momenta[at, i, j] / interval
             rates = READINGS_AT_EDGES * sampler.derived[j] * edges**2
             if np.isfinite(sampler.grain[j]):
                 rounded += rates * sampler.grain[j] * sampler.grain[j] / 12.0
@@ -144,68 +146,51 @@ def add_noise(
             louder = sampler.scale[j] * sampler.scale[j] - sampler.calm[j]
             noisy += rates * max(louder, 0.0) / readings_in_jump(sampler, j)
             fastest, wrong = 0.0, 0.0
-            for block in blocks:
+            for block in parts.recent:
                 fastest = max(fastest, abs(block[n + j]))
                 wrong = max(wrong, abs(block[3 * n + 3] * block[n + j]))
             noisy += rates * sampler.clock[JITTER] * fastest * fastest
             late += rates * wrong * wrong
             if sampler.noisy[j] == 1:
-                mean = window.rows[at, i, 1 + OFFSET * n + j] ** 2 / interval[1]
+                mean = window.rows[at, i, 1 + OFFSET * n + j] ** 2 / samples
                 # Torques grow with the squares of rates, of which noise changes the mean.
-                turned = window.rows[at, i, 1 + RATE * n + j] / interval[0]
+                turned = window.rows[at, i, 1 + RATE * n + j] / interval
                 way = sampler.derived[j] * READINGS_IN_WAY * turned**2
                 noisy += reading_noise(sampler, j) * (mean + rates + way)
         # As learned, most of what is left may be rounding.
-        extra = max(rounded - null.noise[i] * null.noise[i], 0.0) + noisy
+        extra = max(rounded - noise[i] * noise[i], 0.0) + noisy
         window.extra[at, i] += extra
         window.late[at, i] = late
         less = less or extra + late > 0.0
-    return less
+    if less:
+        weigh_all(parts.horizon, 1)
 
 
 @njit_in_place
-def find_levels(
-    level: Posterior,
-    prior: FloatArray,
-    known: FloatArray,
-    certified: Certified,
-    scales: FloatArray,
-    limits: FloatArray,
-    beyond: FloatArray,
-) -> bool:
-    """Which offsets are beyond what a healthy arm shows; true if there is any.
+def _find_levels(parts: Parts) -> bool:
+    """Which offsets are beyond what a healthy arm shows, as in ``beyond``; true if there is any.
 
-    ``prior``, shape (m,), has the standard deviations if nothing is known, the offsets' first
-    [rad].  ``known``, shape (n,), says for how long each offset has been diagnosable [s]; it is
-    updated.  ``certified`` holds offsets by an observer that certifies them, the bounds of a
-    healthy arm, both of shape (n,) [rad], and whether they hold, shape (1,).  ``scales``, shape
-    (n,), multiply thresholds.
-
-    ``limits`` holds the standard deviation that says nothing and the smallest level [rad], standard
-    deviations in a bound, lengths of an interval and of the horizon [s], and the log Bayes factors
-    needed within the first horizon and later.
-
-    ``beyond``, shape (2, n), is written.  Its first row has the log Bayes factors of offsets that
-    are beyond by the horizon; its second one is 1 where the other observer excludes a healthy arm,
-    and the horizon does not contradict.  All else is 0.
+    ``known`` is updated.
     """
-    widest, smallest, sigmas, interval, horizon, at_start, later = limits
+    level, state, known, beyond = parts.horizon.level, parts.state[0], parts.known, parts.beyond
+    scales, interval = parts.horizon.balance.scale, parts.bank.evidence.interval
+    (faults, bounds, holds), sigmas = parts.certified, state.sigmas
     some = False
     for i in range(known.shape[0]):
-        offset, sigma, least = level.mean[i], level.sigma[i], smallest * scales[i]
+        offset, sigma, least = level.mean[i], level.sigma[i], state.smallest * scales[i]
         beyond[0, i], beyond[1, i] = 0.0, 0.0
-        if sigma < widest * scales[i]:
+        if sigma < state.widest * scales[i]:
             known[i] += interval
             ratio = offset / sigma
-            gain = 0.5 * ratio * ratio - np.log(prior[i] / sigma)
+            gain = 0.5 * ratio * ratio - np.log(parts.prior[i] / sigma)
             # An offset may have been there before the first sample; later ones come at any time,
             # and every horizon is another chance of a false alarm.
-            needed = at_start if known[i] < horizon else later
+            needed = state.at_start if known[i] < HORIZON else state.later
             # Before, the noise is what the file expects.
             needed = needed if known[i] > NOISE_SAMPLES * interval else np.inf
             if gain > needed and abs(offset) > least:
                 beyond[0, i], some = gain, True
-        fault, bound = certified[0][i], certified[1][i] if certified[2][0] else np.inf
+        fault, bound = faults[i], bounds[i] if holds[0] else np.inf
         if abs(fault) > max(bound, least) and abs(offset - fault) < bound + sigmas * sigma:
             beyond[1, i], some = 1.0, True
     return some
@@ -215,8 +200,6 @@ def find_levels(
 def decide(parts: Parts) -> None:
     """Go on with a decision from its stage on, until Python has to do something or it is done."""
     state, horizon, bank = parts.state[0], parts.horizon, parts.bank
-    window, null, level, interval = horizon.window, horizon.null, horizon.level, bank.interval
-    plan = interval, round(interval / state.sample_time)
     if state.stage == _TAKE:
         _copy_recent(parts.sampler, parts.recent, parts.lost)
         if state.guarantees:
@@ -224,20 +207,18 @@ def decide(parts: Parts) -> None:
             blocks = parts.recent, parts.lost
             take_healthy(parts.healthy, horizon, blocks, edges, state.learns)
         take_balances(horizon, state.now, state.learns)
-        if leave_out_missing(window, parts.sampler, state.held):
-            weigh_all(horizon, 1)
+        _leave_out_missing(parts)
         take_rows(bank, horizon, parts.recent, parts.sampler)
         state.balances += 1
         state.stage = _FOLLOW if state.follows else _ESTIMATE
     if state.stage == _ESTIMATE:
-        if add_noise(window, null, parts.sampler, plan, parts.recent):
-            weigh_all(horizon, 1)
-        estimate_all(horizon, interval, state.learns)
+        _add_noise(parts)
+        estimate_all(horizon, bank.evidence.interval, state.learns)
         state.stage = _LINEARISE if has_moved(horizon) else _ENDS
     if state.stage == _ENDS and not state.ends:
         state.stage = _GUARANTEE
     # Guaranteed thresholds change over the horizon.
-    due = state.guarantees and window.counters[NEXT] % bank.recent == 0
+    due = state.guarantees and horizon.window.counters[NEXT] % bank.recent == 0
     if state.stage == _GUARANTEE and not due:
         state.stage, state.rests = _REST, False
     if state.stage == _REST:
@@ -254,10 +235,7 @@ def decide(parts: Parts) -> None:
         quiet = bank.state[0].statistic < state.threshold and not (state.suspects or state.pushed)
         state.stage = _LEVELS if quiet and not state.asked else _NAME
     if state.stage == _LEVELS:
-        some = find_levels(
-            level, parts.prior, parts.known, parts.certified, horizon.balance.scale,
-            state.limits, parts.beyond)  # fmt: skip
-        state.stage = _RAISE if some else _END
+        state.stage = _RAISE if _find_levels(parts) else _END
     if state.stage == _END and not state.active:
         state.stage = _RATES
     probe, probed = parts.sampler.probe.shape[0], parts.sampler.counters[PROBED]

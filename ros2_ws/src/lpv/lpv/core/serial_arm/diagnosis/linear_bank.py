@@ -16,7 +16,7 @@ from lpv.core.serial_arm.diagnosis.contact import (
     watch_noise,
     weigh_residuals,
 )
-from lpv.core.serial_arm.diagnosis.estimator import ONSET, set_residuals
+from lpv.core.serial_arm.diagnosis.estimator import ONSET, Horizon, set_residuals
 from lpv.core.serial_arm.diagnosis.information import (
     COUNT,
     Posterior,
@@ -49,9 +49,25 @@ class Kinds(NamedTuple):
     older: FloatArray  # (K, W) by how much a fault is older than its window [s]
 
 
+class Rows(NamedTuple):
+    """Sums of kinematic rows of W windows."""
+
+    span: FloatArray  # (W,) [s]
+    weight: FloatArray  # (W, n) inverse variances, 0 where there are none [1/rad2]
+    found: FloatArray  # (W, n) [rad]
+    reading: FloatArray  # (n,) now, from the point of linearisation on [rad]
+
+
 class Evidence(NamedTuple):
     """What the balances say, for W windows."""
 
+    kinds: Kinds
+    outside: Contact
+    rows: Rows
+    to_sensors: FloatArray  # (n, n) S
+    interval: float  # of the balances [s]
+    unseen: FloatArray  # (n,) largest jump of each reading that may not have been seen [rad]
+    noise: FloatArray  # (n,) variance of a balance's change of a derived rate, by noise [rad2/s2]
     lengths: IntArray  # (W,) of the windows [balances]
     starts: FloatArray  # (W,) logarithm of the starts that each stands for
     begin: FloatArray  # (W,) [s]
@@ -67,20 +83,16 @@ class Evidence(NamedTuple):
     grams: FloatArray  # (n, 6) scratch
 
 
-class Rows(NamedTuple):
-    """Sums of kinematic rows of W windows."""
-
-    span: FloatArray  # (W,) [s]
-    weight: FloatArray  # (W, n) inverse variances, 0 where there are none [1/rad2]
-    found: FloatArray  # (W, n) [rad]
-    reading: FloatArray  # (n,) now, from the point of linearisation on [rad]
-
-
-def new_evidence(lengths: IntArray, starts: FloatArray, kinds: Kinds, unknowns: int) -> Evidence:
-    """Room for the evidence of windows, each of which stands for so many starts."""
-    count, (number, n) = len(lengths), kinds.prior.shape
+def new_evidence(
+    kinds: Kinds, outside: Contact, windows: tuple[IntArray, FloatArray], interval: float,
+    to_sensors: FloatArray, unknowns: int,
+) -> Evidence:  # fmt: skip
+    """Room for the evidence of windows, by their lengths and the starts that each stands for."""
+    (lengths, starts), (number, n) = windows, kinds.prior.shape
+    count = len(lengths)
     gain, size, sigma = np.zeros((3, number, n, count))
     return Evidence(
+        kinds, outside, new_rows(count, n), to_sensors, interval, np.zeros(n), np.zeros(n),
         lengths, np.log(starts), np.zeros(count), np.zeros((count, n)),
         np.zeros((count, n, COLUMNS)), np.zeros((count, n, COLUMNS, COLUMNS)),
         gain, size, sigma, np.zeros(count), np.zeros((count, n)), np.zeros((unknowns, COLUMNS * n)),
@@ -94,31 +106,15 @@ def new_rows(windows: int, joints: int) -> Rows:
 
 
 @njit_in_place
-def gather(
-    evidence: Evidence,
-    kinds: Kinds,
-    window: Window,
-    null: Posterior,
-    outside: Contact,
-    rows: Rows,
-    to_sensors: FloatArray,
-    times: tuple[float, float],
-    unseen: FloatArray,
-    noise: FloatArray,
-    count: int,
-) -> tuple[float, float]:
+def gather(evidence: Evidence, horizon: Horizon, count: int) -> tuple[float, float]:
     """Write the evidence of the first ``count`` windows, which the horizon must hold.
 
-    The residuals of ``null`` are written.  ``to_sensors`` is S, shape (n, n).  ``times`` are the
-    moment from which drifts count, and the length of an interval [s].  ``unseen``, shape (n,), are
-    the largest jumps of the readings that may not have been seen [rad], and ``noise``, shape (n,),
-    are variances of what the readings' noise makes of a balance's change of a derived rate
-    [rad2/s2], 0 of others.
-
-    Returns the logarithms of the sums of Bayes factors over all kinds and starts, and over those of
-    rough torques.
+    Residuals under the null hypothesis are written.  Returns the logarithms of the sums of Bayes
+    factors over all kinds and starts, and over those of rough torques.
     """
-    n, longest = null.noise.shape[0], evidence.lengths[count - 1]
+    window, null, outside = horizon.window, horizon.null, evidence.outside
+    epoch, n = horizon.balance.epoch[0], null.noise.shape[0]
+    longest = evidence.lengths[count - 1]
     set_residuals(window, null, longest + 1)
     evidence.grams[:] = 0.0
     summed = 0
@@ -128,13 +124,13 @@ def gather(
             _add_grams(evidence.grams, window, null.weights, back)
             summed = back + 1
         first = slot(window, length - 1)
-        evidence.begin[w] = window.times[first] - times[1]
-        map_vector(to_sensors, window.poses[first], evidence.pose[w])
-        _sensor_columns(evidence, window, null, noise, w)
+        evidence.begin[w] = window.times[first] - evidence.interval
+        map_vector(evidence.to_sensors, window.poses[first], evidence.pose[w])
+        _sensor_columns(evidence, window, null, w)
         _jump_columns(evidence, window, null, w)
         whiten(null.factor, evidence.columns)
         _eliminate(evidence, w)
-        _add_rows(evidence, rows, window.times[slot(window, 0)] - times[0], w)
+        _add_rows(evidence, window.times[slot(window, 0)] - epoch, w)
     watch_noise(outside, null)
     weigh_residuals(window, null, longest + 1)
     rough_contact(outside, null, 0, longest)
@@ -143,8 +139,8 @@ def gather(
         evidence.contact[w] = outside.rough[evidence.lengths[w] - 1]
         pushed = add_logarithm(pushed, evidence.contact[w] + evidence.starts[w])
         for i in range(n):
-            for k in range(kinds.basis.shape[0]):
-                _compare(evidence, kinds, (k, i, w), times[0], unseen[i])
+            for k in range(evidence.gain.shape[0]):
+                _compare(evidence, (k, i, w), epoch)
                 every = add_logarithm(every, evidence.gain[k, i, w] + evidence.starts[w])
     return every[0] + np.log(every[1]), pushed[0] + np.log(pushed[1])
 
@@ -164,31 +160,24 @@ def add_logarithm(total: tuple[float, float], logarithm: float) -> tuple[float, 
 
 
 @njit_in_place
-def explain(
-    evidence: Evidence,
-    kinds: Kinds,
-    window: Window,
-    null: Posterior,
-    rows: Rows,
-    epoch: float,
-    count: int,
-) -> None:
+def explain(evidence: Evidence, horizon: Horizon, count: int) -> None:
     """Write what the likeliest fault explains of the residuals of the horizon, after `gather`.
 
     Faults that kinematic rows show are left out: these have a noise of their own.
     """
+    window, null = horizon.window, horizon.null
     window.explained[:] = 0.0
     best, at = 0.0, (0, 0, 0)
     for k, i, w in np.ndindex(evidence.gain[:, :, :count].shape):
         gain = evidence.gain[k, i, w] + evidence.starts[w]
-        if gain > best and rows.weight[w, i] == 0.0:
+        if gain > best and evidence.rows.weight[w, i] == 0.0:
             best, at = gain, (k, i, w)
     if best == 0.0:
         return
     k, i, w = at
     n, m, moved = null.noise.shape[0], null.mean.shape[0], window.along
-    first, basis = window.rows.shape[2] - m, kinds.basis[k]
-    zero = _zero(evidence, kinds, at, epoch)
+    first, basis = window.rows.shape[2] - m, evidence.kinds.basis[k]
+    zero = _zero(evidence, at, horizon.balance.epoch[0])
     moved[:] = 0.0
     for back in range(evidence.lengths[w] - ONSET):
         here = slot(window, back)
@@ -210,9 +199,9 @@ def explain(
 
 
 @njit_in_place
-def _zero(evidence: Evidence, kinds: Kinds, place: tuple[int, int, int], epoch: float) -> float:
+def _zero(evidence: Evidence, place: tuple[int, int, int], epoch: float) -> float:
     """What columns of drifts and scale errors have where these begin, in offsets."""
-    k, i, w = place
+    (k, i, w), kinds = place, evidence.kinds
     basis, since = kinds.basis[k], evidence.begin[w] - kinds.older[k, w] - epoch
     return float(since * basis[DRIFT] + evidence.pose[w, i] * basis[SCALE])
 
@@ -235,9 +224,7 @@ def _add_grams(grams: FloatArray, window: Window, weights: FloatArray, back: int
 
 
 @njit_in_place
-def _sensor_columns(
-    evidence: Evidence, window: Window, null: Posterior, noise: FloatArray, w: int
-) -> None:
+def _sensor_columns(evidence: Evidence, window: Window, null: Posterior, w: int) -> None:
     """Score, information and cross products of the first six columns, from cumulative sums.
 
     A scale error moves the momentum by the rate, whose noise is in the residual as well: of a joint
@@ -270,7 +257,7 @@ def _sensor_columns(
         for g in range(OFFSET):
             own[g, g] = evidence.grams[i, g]
         own[DRIFT, RATE] = own[RATE, DRIFT] = evidence.grams[i, 4]
-        evidence.common[w, i] = noise[i] * evidence.grams[i, 5]
+        evidence.common[w, i] = evidence.noise[i] * evidence.grams[i, 5]
 
 
 @njit_in_place
@@ -321,8 +308,9 @@ def _eliminate(evidence: Evidence, w: int) -> None:
 
 
 @njit_in_place
-def _add_rows(evidence: Evidence, rows: Rows, elapsed: float, w: int) -> None:
+def _add_rows(evidence: Evidence, elapsed: float, w: int) -> None:
     """Add what kinematic rows say; time since the epoch of drifts."""
+    rows = evidence.rows
     for i in range(rows.reading.shape[0]):
         weight = rows.weight[w, i]
         if weight == 0.0:
@@ -336,19 +324,17 @@ def _add_rows(evidence: Evidence, rows: Rows, elapsed: float, w: int) -> None:
 
 
 @njit_in_place
-def _compare(
-    evidence: Evidence, kinds: Kinds, place: tuple[int, int, int], epoch: float, unseen: float
-) -> None:
+def _compare(evidence: Evidence, place: tuple[int, int, int], epoch: float) -> None:
     """Logarithm of a Bayes factor, with size and standard deviation.
 
     Columns of drifts and scale errors are zero where these begin.
     """
-    k, i, w = place
+    (k, i, w), kinds, unseen = place, evidence.kinds, evidence.unseen[place[1]]
     evidence.gain[k, i, w] = -np.inf
     if kinds.applies[k, i] == 0.0 or w >= kinds.windows[k]:
         return
     basis, score, information = kinds.basis[k], evidence.score[w, i], evidence.information[w, i]
-    zero = _zero(evidence, kinds, place, epoch)
+    zero = _zero(evidence, place, epoch)
     z, own, across = -zero * score[OFFSET], 0.0, -zero * information[OFFSET, OFFSET]
     for g in range(COLUMNS):
         if basis[g] == 0.0:

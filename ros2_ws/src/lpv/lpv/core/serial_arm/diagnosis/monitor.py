@@ -176,14 +176,13 @@ class SerialMonitor:
         tests = settings.threshold(self.arm.sample_time / self.joints)
         self.sampler.lines[LINE_LIMIT] = math.sqrt(2.0 * tests)
         state['threshold'] = settings.threshold(self.plan.interval)
-        state['limits'] = (
-            WIDEST_LEVEL, settings.minimum_threshold, settings.sigmas, self.plan.interval,
-            HORIZON, -math.log(FAULT_AT_START), settings.threshold(HORIZON),
-        )  # fmt: skip
+        state['widest'], state['smallest'] = WIDEST_LEVEL, settings.minimum_threshold
+        state['sigmas'], state['later'] = settings.sigmas, settings.threshold(HORIZON)
+        state['at_start'] = -math.log(FAULT_AT_START)
         self._tell()
 
     def certify(self, certified: Certified) -> None:
-        """Raise offsets that another observer certifies, too; as of `find_levels`."""
+        """Raise offsets that another observer certifies, too."""
         self._certified = certified
         self._join()
 
@@ -840,7 +839,7 @@ class SerialMonitor:
             sensor = self.sensors[i]
             if sensor.active or self.sampler.noisy[i]:
                 continue
-            # From the start on, or since; as in `find_levels`.
+            # From the start on, or since; as where they are found.
             later = OCCURRENCE['slip'] * HORIZON / 3600.0
             prior = FAULT_AT_START if self._known[i] < HORIZON else later
             odds = self.bank.offset_against_contact(i) + math.log(prior)
