@@ -36,12 +36,11 @@ from lpv.core.monitoring.plausibility import (
     new_repeats,
 )
 from lpv.core.monitoring.sample_loop import Answering
-from lpv.core.monitoring.serial_alarms import AlarmConverter
 from lpv.core.monitoring.stamp_gate import StampGate
 from lpv.core.monitoring.stepped_monitor import SteppedMonitor
-from lpv.core.serial_arm.chain import FloatArray, IntArray
+from lpv.core.serial_arm.chain import BoolArray, FloatArray, IntArray
 from lpv.core.serial_arm.description import SerialArm
-from lpv.core.serial_arm.diagnosis.alarms import Alarm, Mode, SensorState
+from lpv.core.serial_arm.diagnosis.alarms import Alarm, AlarmEvent, Mode, SensorState
 from lpv.core.serial_arm.diagnosis.decision import decide
 from lpv.core.serial_arm.diagnosis.healthy_set import Guarantee
 from lpv.core.serial_arm.diagnosis.information import ROBUST
@@ -230,9 +229,9 @@ class SerialSensorMonitor:
         self._other_period = 0  # reports in a row
         # The shortest and the longest time between samples since the last one [ns].
         self._steps, self._stepped = (LAST_STAMP, 0), NEVER
-        self._alarms = AlarmConverter(self.arm)
         self._missing_since = np.full(self._joints, NEVER)  # readings, stamps [ns]
         self._is_missing = False
+        self._dropped = np.zeros(self._joints, bool)  # sensors whose dropout has been reported
         self._newest = np.zeros(1, self.answer_type)  # row with the last estimate
         self._warned: set[str] = set()
 
@@ -470,12 +469,28 @@ class SerialSensorMonitor:
         self._missing_since[missing & (self._missing_since == NEVER)] = stamp
         self._monitor.unread |= missing
         long = missing & (stamp - self._missing_since > LONGEST_UNUSABLE)
-        events = self._alarms.dropouts(long, self._missing_since, stamp)
+        events = self._dropouts(long, stamp)
         answers.events += [(row, event) for event in events]
         self._missing_since[~missing] = NEVER
         self._is_missing = bool(missing.any())
         if events:
             self._monitor.progress['next_report'] = NEVER
+
+    def _dropouts(self, long: BoolArray, stamp: int) -> list[Alarm]:
+        """Events of sensors that have failed to deliver for ``long``, or deliver again.
+
+        The end of a dropout does not clear another fault of the sensor.
+        """
+        events = []
+        for i in np.flatnonzero(long != self._dropped).tolist():
+            other, is_over = self._monitor.sensors[i].active, not long[i]
+            if not (is_over and other):
+                begun = AlarmEvent.UPDATED if other else AlarmEvent.RAISED
+                event, since = AlarmEvent.CLEARED if is_over else begun, int(self._missing_since[i])
+                name = self.arm.sensor_names[i]
+                events.append(Alarm(event, i, name, since, stamp, 0.0, 0.0, 'dropout', 1.0))
+        self._dropped = long
+        return events
 
     def _is_new(self, stamp: int) -> bool:
         """Whether a stamp is later than that of the last sample."""
@@ -553,8 +568,7 @@ class SerialSensorMonitor:
         monitor = self._monitor
         monitor.know(stamp)
         found, monitor.alarms = monitor.alarms, []
-        onsets = [monitor.stamp_of(alarm.onset) for alarm in found]
-        return self._alarms.convert(found, onsets, stamp, monitor.settings.sigmas)
+        return [replace(alarm, detected=stamp) for alarm in found if alarm.sensor]
 
     def _add_rates(self, stamps: IntArray, samples: FloatArray) -> None:
         """Rates that are missing are differences of the readings."""

@@ -75,7 +75,7 @@ class SteppedMonitor(SerialMonitor):
     def reset(self) -> None:
         """Forget samples, estimates, faults and the time of the first sample."""
         super().reset()
-        self._first: int | None = None
+        self._first = None
         self._last_time = -np.inf
         self.alarms = []
         self._removed_variance = np.zeros(self.joints)
@@ -190,10 +190,6 @@ class SteppedMonitor(SerialMonitor):
         for sensor in self.sensors:
             sensor.doubt()
         self.know(stamp)
-
-    def stamp_of(self, seconds: float) -> int:
-        """Stamp [ns] of a time since the first sample [s]."""
-        return (self._first or 0) + round(seconds * NANOSECONDS)
 
     def watch_from(self, stamp: int) -> None:
         """Balances are due from a stamp on [ns]."""

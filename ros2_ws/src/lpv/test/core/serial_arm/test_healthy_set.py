@@ -339,7 +339,7 @@ def test_given_a_jump_while_samples_are_lost_then_it_is_not_guaranteed(lost, gua
     monitor = Watched(arm)
     monitor.take(10**9 + round(arm.sample_time * 1e9) * count, samples)
     (alarm,) = monitor.alarms
-    assert (alarm.kind, alarm.guaranteed) == ('bias', guaranteed)
+    assert (alarm.kind, alarm.basis == GUARANTEED) == ('bias', guaranteed)
 
 
 def test_given_counts_of_samples_when_told_then_one_is_no_plural():

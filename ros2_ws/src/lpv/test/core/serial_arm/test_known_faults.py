@@ -52,7 +52,7 @@ def test_given_a_step_when_its_reading_is_noisy_for_a_while_then_the_step_remain
     monitor = watch(shoulder_arm(), simulated(shoulder_arm(), *faults, duration=8.0))
     own = [alarm for alarm in monitor.alarms if alarm.sensor]
     assert [alarm.kind for alarm in own] == ['bias', 'noise', 'bias']
-    assert [alarm.event for alarm in own] == ['raised', 'updated', 'updated']
+    assert [alarm.event.name for alarm in own] == ['RAISED', 'UPDATED', 'UPDATED']
     known = monitor.estimate()
     assert known.state[0] is SensorState.ERROR and known.fault[0] == pytest.approx(0.3, abs=0.02)
 

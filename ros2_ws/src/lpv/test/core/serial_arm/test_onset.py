@@ -102,7 +102,7 @@ def test_given_an_alarm_when_it_is_raised_then_no_drift_is_sought_long_before_it
         monitor.take(run.stamps[part], run.samples[part])
         windows = monitor.bank.parts.state[0].windows
         longest.append(monitor.bank.parts.evidence.lengths[windows - 1] * monitor.plan.interval)
-    assert [one.event for one in monitor.alarms] == ['raised']
+    assert [one.event.name for one in monitor.alarms] == ['RAISED']
     np.testing.assert_allclose(longest, [bank.DRIFT_STARTS[1], bank.STARTS[-1]])
 
 

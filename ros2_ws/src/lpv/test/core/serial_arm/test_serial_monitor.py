@@ -75,7 +75,7 @@ def test_offset_from_the_start_is_named_and_measured_also_after_a_gap(joint):
     for one in (run, without(run, slice(2513, 2778))):
         monitor = watch(arm, one)
         assert [(a.sensor, a.kind) for a in monitor.alarms] == [(sensor, 'bias')]
-        assert monitor.alarms[0].detected < 5.0 and 0.99 < monitor.alarms[0].confidence <= 1.0
+        assert monitor.alarms[0].detected < 5e9 and 0.99 < monitor.alarms[0].confidence <= 1.0
         assert monitor.estimate().fault[joint] == pytest.approx(0.5, abs=0.05)
 
 
@@ -97,7 +97,7 @@ def test_step_is_named_as_one_more_sample_confirms_it_and_keeps_kind(rates, join
     fault = Fault(f'encoder{joint + 1}', 'bias', 2.0, size=size)
     (alarm,) = watched(arm, fault, duration=4.0).alarms
     assert (alarm.sensor, alarm.kind) == (f'encoder{joint + 1}', 'bias')
-    assert alarm.detected == pytest.approx(2.0 + period, abs=1e-6)
+    assert alarm.detected * 1e-9 == pytest.approx(2.0 + period, abs=1e-6)
     assert alarm.size == pytest.approx(size, abs=2e-3 if size < 0.02 else 5e-3)
 
 
@@ -131,7 +131,7 @@ def test_given_a_derived_rate_when_it_contradicts_its_reading_then_it_alone_is_n
     monitor = watch(shoulder_arm(), run)
     found = [alarm for alarm in monitor.alarms if alarm.kind != 'contact']
     assert {(alarm.sensor, alarm.kind) for alarm in found} == {('encoder2', 'rate_bias')}
-    assert found[0].detected < 2.5
+    assert found[0].detected < 2.5e9
     assert not any(rate.active for rate in monitor.rates)  # 2 s after the end
     assert np.abs(monitor.estimate().fault).max() < 0.03
 
@@ -421,8 +421,8 @@ def test_spike_is_no_lasting_fault():
     run = simulated_run(arm, 3.0, seed=3)
     run.samples[1000, 0, 1] += 0.3
     monitor, unaware = watch(arm, run), Watched(arm, smallest_step=0.5)
-    events = [(alarm.sensor, alarm.kind, alarm.event) for alarm in monitor.alarms]
-    assert events == [('encoder2', 'spike', 'raised'), ('encoder2', 'spike', 'cleared')]
+    events = [(alarm.sensor, alarm.kind, alarm.event.name) for alarm in monitor.alarms]
+    assert events == [('encoder2', 'spike', 'RAISED'), ('encoder2', 'spike', 'CLEARED')]
     assert abs(monitor.estimate().fault[1]) < 0.1
     unaware.take(run.stamps, run.samples)
     assert unaware.alarms == []  # it is smaller than what is a fault
@@ -434,7 +434,7 @@ def test_given_a_drift_that_just_ended_when_another_begins_then_the_rate_tells_a
     first = Fault('encoder2', 'drift', 2.0, 1.0, rate=0.1)
     faults = first, replace(first, onset=3.1, rate=0.2)
     one, other = watched(shoulder_arm('independent'), *faults, duration=3.6).alarms
-    assert one.detected - 2.0 < 0.2 and other.detected - 3.1 < 0.2
+    assert one.detected < 2.2e9 and other.detected < 3.3e9
 
 
 def test_payload_and_viscous_friction_that_nobody_stated_are_learned_without_an_alarm():

@@ -43,7 +43,7 @@ def test_given_slow_samples_when_a_reading_freezes_then_it_is_followed(rates, se
         assert np.abs(fault - truth).max() < 0.1
     monitor, _ = watched('stuck', rates, (1, 4.0, END), seed=seed)
     assert set(blamed(monitor)) == {('encoder2', 'stuck')}
-    assert monitor.alarms[-1].event == 'cleared'
+    assert monitor.alarms[-1].event.name == 'CLEARED'
     assert np.all(monitor.followed.taken_out() == 0.0)
 
 

@@ -15,7 +15,13 @@ import numpy as np
 from lpv.core.serial_arm.certificate.jump_bound import jump_bound
 from lpv.core.serial_arm.chain import COULOMB, BoolArray, FloatArray
 from lpv.core.serial_arm.description import SerialArm
-from lpv.core.serial_arm.diagnosis.alarms import SensorState
+from lpv.core.serial_arm.diagnosis.alarms import (
+    GUARANTEED,
+    STATISTICAL,
+    Alarm,
+    AlarmEvent,
+    SensorState,
+)
 from lpv.core.serial_arm.diagnosis.bank import (
     CONTACT_TIME,
     ENCODER_KINDS,
@@ -85,29 +91,16 @@ from lpv.core.serial_arm.diagnosis.settings import DiagnosisParameters
 from lpv.core.serial_arm.diagnosis.stuck import Frozen, at_rest
 from lpv.core.serial_arm.diagnosis.undecided_jumps import UndecidedJumps
 from lpv.core.support.records import memory, new_record, plain
+from lpv.core.support.timestamps import NANOSECONDS
 
 LONGEST_STEP = 10.0
 """Sample times after which the next sample begins anew."""
 OUTSIDE = (CONTACT, 'torque_offset')
 """Causes that are torques from outside, as far as can be told."""
+_ALMOST_SURE = math.nextafter(1.0, 0.0)
+"""Largest confidence that is not a guarantee."""
 _MADE_UP = 20
 """Balances on which is compiled what only a fault needs."""
-
-
-@dataclass(frozen=True)
-class SerialAlarm:
-    """A change of what is known of a fault."""
-
-    sensor: str  # name; '' where none is named
-    kind: str  # bias, drift, scale, stuck, noise, spike, rate_bias, contact, load
-    onset: float  # [s]
-    detected: float  # [s]
-    size: float  # of the fault now [rad]; [rad/s] of a rate sensor's
-    sigma: float  # standard deviation of size
-    guaranteed: bool = False  # whether no healthy arm inside its file shows this; else statistical
-    event: str = 'raised'  # raised, updated or cleared
-    confidence: float = 1.0  # probability that this sensor is to blame
-    rate: float = 0.0  # at which the fault grows [rad/s]
 
 
 @dataclass
@@ -132,8 +125,8 @@ class SerialMonitor:
 
     Attributes
     ----------
-    alarms : list of SerialAlarm
-        Events so far; the caller may empty it.
+    alarms : list of Alarm
+        Events so far, those of no sensor (contact, load) included; the caller may empty it.
     parts : Parts
         What samples are decided on with.
     statistic : float
@@ -150,7 +143,8 @@ class SerialMonitor:
         self.arm = arm
         self.settings = settings or DiagnosisParameters()
         self.joints = len(arm.joints)
-        self.alarms: list[SerialAlarm] = []
+        self.alarms: list[Alarm] = []
+        self._first: int | None = None  # stamp of the first sample, from which times count [ns]
         self.scales, kinds = arm.scales(), (*ENCODER_KINDS, 'bias', 'rate_bias')
         self._labels = [{f'{name}:{kind}' for kind in kinds} for name in arm.sensor_names]
         self._steps = {
@@ -420,8 +414,8 @@ class SerialMonitor:
                 self._jumped(i, float(self.sampler.size[i]), now)
             elif found == SPIKE:
                 if not (self.sensors[i].active or self._is_small(i, self.sampler.size[i])):
-                    self._event(i, 'spike', now, 'raised', 0.0, 0.0)
-                    self._event(i, 'spike', now, 'cleared', 0.0, 0.0)
+                    self._event(i, 'spike', now, AlarmEvent.RAISED, 0.0, 0.0)
+                    self._event(i, 'spike', now, AlarmEvent.CLEARED, 0.0, 0.0)
             elif found == CONTRARY:
                 self._blame_derived_rate(i, now)
             elif found == HIDDEN:
@@ -515,21 +509,26 @@ class SerialMonitor:
     ) -> None:  # fmt: skip
         """A fault of sensor i is confirmed, or changed."""
         sensor = self.sensors[i]
-        event = 'updated' if sensor.active else 'raised'
+        event = AlarmEvent.UPDATED if sensor.active else AlarmEvent.RAISED
         sensor.confirm(kind, onset, abs(size))
         self._event(i, kind, onset, event, size, sigma, guaranteed, confidence)
 
     def _event(
-        self, i: int, kind: str, onset: float, event: str, size: float, sigma: float,
+        self, i: int, kind: str, onset: float, event: AlarmEvent, size: float, sigma: float,
         guaranteed: bool = False, confidence: float = 1.0
     ) -> None:  # fmt: skip
-        if event != 'updated':
+        if event is not AlarmEvent.UPDATED:
             self.bank.note_change()
-        name, now = self.arm.sensor_names[i] if i >= 0 else '', self.readings.last()
-        rate = float(self.sampler.drift[i]) if kind == 'drift' else 0.0
-        self.alarms.append(SerialAlarm(
-            name, kind, onset, now, size, sigma, guaranteed, event, confidence, rate
-        ))  # fmt: skip
+        name, bound = self.arm.sensor_names[i] if i >= 0 else '', self.settings.sigmas * sigma
+        self.alarms.append(Alarm(
+            event, i, name, self.stamp_of(onset), self.stamp_of(self.readings.last()), size, bound,
+            kind, 1.0 if guaranteed else min(confidence, _ALMOST_SURE),
+            basis=GUARANTEED if guaranteed else STATISTICAL, unit=self.arm.position_units[i],
+            rate=float(self.sampler.drift[i]) if kind == 'drift' else 0.0))  # fmt: skip
+
+    def stamp_of(self, seconds: float) -> int:
+        """Stamp [ns] of a time since the first sample [s]."""
+        return (self._first or 0) + round(seconds * NANOSECONDS)
 
     def _follow(self, _: float) -> Stage:
         self.followed.update()
@@ -730,7 +729,7 @@ class SerialMonitor:
     def _report_contact(self, now: float) -> None:
         """Something pushes the arm: no sensor is to blame, and nothing is learned from it."""
         if now > self._contact.until:
-            self._event(-1, CONTACT, now, 'raised', 0.0, 0.0)
+            self._event(-1, CONTACT, now, AlarmEvent.RAISED, 0.0, 0.0)
         self._contact.until = now + CONTACT_TIME
         self.healthy = self.guarantee = None  # the load may be another one from now on
         acted = max(now - self._contact.begin, CONTACT_TIME)
@@ -742,7 +741,7 @@ class SerialMonitor:
         self.estimator.change_load(begin, change)
         self.bank.restart_statistic()
         self.healthy = self.guarantee = None  # the load may be any in the file from now on
-        self._event(-1, LOAD, begin, 'raised', 0.0, 0.0)
+        self._event(-1, LOAD, begin, AlarmEvent.RAISED, 0.0, 0.0)
         self._suspect_nothing()
 
     @property
@@ -811,7 +810,7 @@ class SerialMonitor:
         self.followed.trust_rate(one.joint)
         self.sampler.rate_error[one.joint] = size
         correct_rates_since(one.joint, one.begin, size, self.readings)
-        self._event(one.joint, 'rate_bias', one.begin, 'raised', size, sigma,
+        self._event(one.joint, 'rate_bias', one.begin, AlarmEvent.RAISED, size, sigma,
                     confidence=share)  # fmt: skip
 
     def _blame_derived_rate(self, i: int, now: float) -> None:
@@ -820,7 +819,7 @@ class SerialMonitor:
         onset = now - CONTRADICTIONS * self.arm.sample_time
         self.rates[i].confirm('rate_bias', onset, abs(apart))
         self.sampler.contrast[REPLACED, i] = 1.0
-        self._event(i, 'rate_bias', onset, 'raised', apart, 0.0)
+        self._event(i, 'rate_bias', onset, AlarmEvent.RAISED, apart, 0.0)
 
     def _rate_agrees(self, i: int, now: float) -> bool:
         """Whether a rate has agreed with its reading of late."""
@@ -919,7 +918,7 @@ class SerialMonitor:
                     self.followed.trust_rate(i)
                     continue
                 self._forget(i)
-                self._event(i, sensor.kind, sensor.onset, 'cleared', left, float(sigma[i]))
+                self._event(i, sensor.kind, sensor.onset, AlarmEvent.CLEARED, left, float(sigma[i]))
                 sensor.clear()
         for i, record in enumerate(self.rates):
             if not record.active:
@@ -931,7 +930,7 @@ class SerialMonitor:
                 self.sampler.rate_error[i] = self.sampler.contrast[REPLACED, i] = 0.0
                 # When exactly the rate was right again is not known.
                 self.bank.restart_statistic()
-                self._event(i, record.kind, record.onset, 'cleared', 0.0, 0.0)
+                self._event(i, record.kind, record.onset, AlarmEvent.CLEARED, 0.0, 0.0)
                 record.clear()
                 self.followed.trust_rate(i)
         return Stage.RATES
