@@ -4,6 +4,7 @@ Neither ROS nor a bag library is needed here; headers are left out.
 """
 
 from dataclasses import asdict, dataclass
+from itertools import compress
 from typing import Any
 
 import numpy as np
@@ -67,114 +68,93 @@ class Report:
     guarantee: Guarantee | None
 
     def statuses(self) -> list[dict[str, Any]]:
-        """The ``status`` list of diagnostic_msgs/DiagnosticArray."""
+        """The ``status`` list of diagnostic_msgs/DiagnosticArray: observer and sensors.
+
+        Each entry has the fields of diagnostic_msgs/DiagnosticStatus; its ``values`` is a dict of
+        strings.
+        """
         values = {
             **self.counters,
             'rejected messages': self.rejected,
             'method': self.method,
             'bounds': f'statistical, {self.sigmas:g} standard deviations',
-            'guarantee': guarantee_text(self.arm, self.is_guaranteed),
+            'guarantee': self._guarantee_text(),
         }
-        details: tuple[dict[str, str], ...] = ()
         if self.guarantee is not None:
             values['guaranteed payload [kg]'] = '{:.3f} to {:.3f}'.format(*self.guarantee.payload)
-            details = guaranteed_fields(self.arm, self.guarantee, self.largest)
-        return diagnostic_fields(
-            self.name, self.arm, self.state, self.fault, values, self.note, details
-        )
+        level, message = self._judgement()
+        if self.fault is not None and level != STALE:
+            corrected = self.state['compensated_position'] != self.state['measured_position']
+            names = compress(self.arm.joint_names, corrected)
+            values['corrected joints'] = ', '.join(names) or 'none'
+        observer = self._status('observer', self.arm.name, level, message, values)
+        return [observer, *map(self._sensor, range(len(self.arm.joints)))]
 
+    def _judgement(self) -> tuple[int, str]:
+        """Level and message of the observer.
 
-def diagnostic_fields(
-    name: str,
-    arm: SerialArm,
-    state: np.void,
-    fault: np.void | None,
-    values: dict[str, Any],
-    note: str,
-    details: tuple[dict[str, str], ...],
-) -> list[dict[str, Any]]:
-    """The ``status`` list of diagnostic_msgs/DiagnosticArray: observer and sensors.
+        The message is the note, if there is one, where it would say that all is well, or that no
+        measurement is usable.
+        """
+        level, message = _MODES[self.state['mode']]
+        if level == STALE:
+            return level, self.note or message
+        if self.fault is not None and not self.state['trustworthy']:
+            if (self.fault['state'] == SensorState.ERROR).any():
+                return ERROR, _UNSAFE
+            return ERROR, f'{_UNWATCHED}; {self.note}' if self.note else _UNWATCHED
+        return (WARN, self.note) if self.fault is not None and self.note else (level, message)
 
-    ``name`` is the fully qualified node name, ``fault`` is None without an estimate, and ``values``
-    are the key-value pairs of the observer's status; its message is the ``note``, if there is one,
-    where it would say that all is well, or that no measurement is usable.  ``details`` are further
-    key-value pairs of each sensor, or empty.  Each entry has the fields of
-    diagnostic_msgs/DiagnosticStatus; its ``values`` is a dict of strings.
-    """
-    level, message = _MODES[state['mode']]
-    if level == STALE:
-        message = note or message
-    elif fault is not None:
-        if not state['trustworthy']:
-            is_confirmed = (fault['state'] == SensorState.ERROR).any()
-            level, message = ERROR, _UNSAFE if is_confirmed else _UNWATCHED
-            message += '' if is_confirmed or not note else f'; {note}'
-        elif note:
-            level, message = WARN, note
-        pairs = zip(state['compensated_position'].tolist(), state['measured_position'].tolist())
-        corrected = (name for name, (now, read) in zip(arm.joint_names, pairs) if now != read)
-        values['corrected joints'] = ', '.join(corrected) or 'none'
-    result = [_status(level, f'{name}: observer', message, arm.name, values)]
-    columns: list[list[Any]] = []
-    if fault is not None:
-        columns = [fault[one].tolist() for one in ('estimate', 'bound', 'threshold', 'state')]
-    for i, sensor in enumerate(arm.sensor_names):
-        sensor_state, values, above = SensorState.STALE, {}, False
-        if fault is not None:
-            unit = arm.joints[i].units[0]
-            estimate, bound, threshold, sensor_state = (column[i] for column in columns)
+    def _sensor(self, i: int) -> dict[str, Any]:
+        """Status of a sensor."""
+        state, values, above = SensorState.STALE, {}, False
+        if self.fault is not None:
+            unit, columns = self.arm.joints[i].units[0], ('estimate', 'bound', 'threshold', 'state')
+            estimate, bound, threshold, state = (self.fault[one][i] for one in columns)
             above = abs(estimate) > threshold
             values = {
                 f'fault estimate [{unit}]': f'{estimate:.6f}',
                 f'bound [{unit}]': f'{bound:.6f}',
                 f'threshold [{unit}]': f'{threshold:.6f}',
-                **(details[i] if details else {}),
+                **self._guaranteed(i, unit),
             }
-        level, message = _LEVELS[sensor_state]
-        if sensor_state == SensorState.WARN and not above:
+        level, message = _LEVELS[state]
+        if state == SensorState.WARN and not above:
             message = _INCONSISTENT
-        result.append(_status(level, f'{name}: {sensor}', message, sensor, values))
-    return result
+        name = self.arm.sensor_names[i]
+        return self._status(name, name, level, message, values)
 
+    def _status(
+        self, part: str, hardware: str, level: int, message: str, values: dict[str, Any]
+    ) -> dict[str, Any]:
+        return {
+            'level': level,
+            'name': f'{self.name}: {part}',
+            'message': message,
+            'hardware_id': hardware,
+            'values': {key: str(value) for key, value in values.items()},
+        }
 
-def guarantee_text(arm: SerialArm, is_guaranteed: bool) -> str:
-    """For which healthy arms thresholds are guaranteed, if they still are."""
-    stated = arm.uncertainty
-    if stated.model_error is None:
-        return 'none stated: the arm file has no uncertainty.model_error'
-    if not is_guaranteed:
-        return 'none of offsets after other loads, pushes or a fault that changes, until reset'
-    return (
-        f'healthy arms with masses and inertias within {stated.model_error:.3g}, friction '
-        f'within {stated.friction:.3g}, payload up to {stated.largest_payload:g} kg'
-    )
+    def _guarantee_text(self) -> str:
+        """For which healthy arms thresholds are guaranteed, if they still are."""
+        stated = self.arm.uncertainty
+        if stated.model_error is None:
+            return 'none stated: the arm file has no uncertainty.model_error'
+        if not self.is_guaranteed:
+            return 'none of offsets after other loads, pushes or a fault that changes, until reset'
+        return (
+            f'healthy arms with masses and inertias within {stated.model_error:.3g}, friction '
+            f'within {stated.friction:.3g}, payload up to {stated.largest_payload:g} kg'
+        )
 
-
-def guaranteed_fields(
-    arm: SerialArm, known: Guarantee, largest: float
-) -> tuple[dict[str, str], ...]:
-    """Guaranteed thresholds of the offsets, for each sensor, where faults up to ``largest`` show.
-
-    ``largest`` is in the unit of `SerialJoint.scale`.
-    """
-    result = []
-    for joint, threshold, found in zip(arm.joints, known.threshold, known.smallest_found):
-        unit = joint.units[0]
-        one = {f'guaranteed threshold [{unit}]': 'none: this pose and motion show no offset'}
-        if found < largest * joint.scale:
-            one[f'guaranteed threshold [{unit}]'] = f'{threshold:.4f}'
-            one[f'surely found beyond [{unit}]'] = f'{found:.4f}'
-        result.append(one)
-    return tuple(result)
-
-
-def _status(
-    level: int, name: str, message: str, hardware: str, values: dict[str, Any]
-) -> dict[str, Any]:
-    return {
-        'level': level,
-        'name': name,
-        'message': message,
-        'hardware_id': hardware,
-        'values': {key: str(value) for key, value in values.items()},
-    }
+    def _guaranteed(self, i: int, unit: str) -> dict[str, str]:
+        """Guaranteed threshold of a sensor's offsets, where faults up to ``largest`` show."""
+        if self.guarantee is None:
+            return {}
+        threshold, found = self.guarantee.threshold[i], self.guarantee.smallest_found[i]
+        if not found < self.largest * self.arm.joints[i].scale:
+            return {f'guaranteed threshold [{unit}]': 'none: this pose and motion show no offset'}
+        return {
+            f'guaranteed threshold [{unit}]': f'{threshold:.4f}',
+            f'surely found beyond [{unit}]': f'{found:.4f}',
+        }

@@ -14,9 +14,8 @@ from scipy.signal import lfilter
 from serial_arms import shoulder_arm, simulated, without
 
 from lpv import ConfigError, DiagnosisParameters, Fault, SampleError
-from lpv.core.monitoring import message_fields
 from lpv.core.monitoring.alarm_text import UNUSABLE
-from lpv.core.monitoring.message_fields import ERROR, diagnostic_fields
+from lpv.core.monitoring.message_fields import ERROR, Report
 from lpv.core.monitoring.serial_monitor import _MISNAMED, SerialSensorMonitor
 from lpv.core.monitoring.stamp_gate import JUMP
 from lpv.core.serial_arm.chain import compile_chain
@@ -118,7 +117,7 @@ def test_given_reports_when_the_monitor_goes_on_then_they_say_what_was_and_only_
     monitor.rejected += 1
     observe(stamps + stamps[-1], np.full_like(samples, np.nan), monitor)
     assert len(said) > 2 and answers.reports == said
-    monkeypatch.setattr(message_fields, 'diagnostic_fields', Mock(side_effect=ValueError))
+    monkeypatch.setattr(Report, 'statuses', Mock(side_effect=ValueError))
     _, answers = observe(stamps, samples)  # no text is made that nobody reads
     with pytest.raises(ValueError):
         answers.reports  # noqa: B018
@@ -379,7 +378,8 @@ def test_given_a_fault_that_is_hardly_known_when_confirmed_then_it_is_not_truste
         assert answers.state.trustworthy[named].all() == trusted
     k = np.flatnonzero(~answers.state.trustworthy & named)[0]
     rows = answers.state[k], answers.fault[k]
-    observer, _, _, third = diagnostic_fields('', ARM, *rows, {}, '', ())
+    report = Report('', ARM, *rows, '', {}, 0, '', 3.0, 1.5, False, None)
+    observer, _, _, third = report.statuses()
     assert observer['message'] == 'a confirmed fault cannot be compensated safely: stop'
     assert (observer['level'], third['message']) == (ERROR, 'fault confirmed')
 
