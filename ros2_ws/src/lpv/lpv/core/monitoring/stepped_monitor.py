@@ -26,7 +26,7 @@ from lpv.core.serial_arm.diagnosis.estimator import UNMEASURED
 from lpv.core.serial_arm.diagnosis.information import slot
 from lpv.core.serial_arm.diagnosis.monitor import LONGEST_STEP, SerialMonitor
 from lpv.core.serial_arm.diagnosis.priors import ACCELERATIONS, USUAL_ACCELERATION, WIDEST_LEVEL
-from lpv.core.serial_arm.diagnosis.sampler import REPLACED, smallest_jump
+from lpv.core.serial_arm.diagnosis.sampler import smallest_jump
 from lpv.core.support.jit import Entries
 from lpv.core.support.records import memory, new_record, plain
 from lpv.core.support.timestamps import NANOSECONDS, NEVER
@@ -217,7 +217,9 @@ class SteppedMonitor(SerialMonitor):
         # What is beyond doubt: all of a confirmed offset, of others what is removed.
         known.confirmed[:] = np.where(is_level, fault, removed)
         known.growth[:] = np.where(is_level, rate, share * rate)
-        known.rate_error[:] = np.where(sampler.contrast[REPLACED] > 0.0, np.nan, sampler.rate_error)
+        known.rate_error[:] = np.where(
+            sampler.contrast['replaced'] > 0.0, np.nan, sampler.rate_error
+        )
         known.bound[:] = settings.sigmas * sigma
         known.threshold[:] = np.maximum(known.bound, settings.minimum_threshold * scales)
         known.limit[:] = [smallest_jump(sampler, i) for i in range(self.joints)]

@@ -32,6 +32,11 @@ def new_record(dtype: np.dtype, **values: Any) -> np.record:
     return record
 
 
+def new_records(dtype: np.dtype, count: int) -> np.ndarray:
+    """So many records, all zero, for compiled functions as `memory`."""
+    return np.asarray(np.zeros(count, dtype).view(np.recarray))
+
+
 def memory(record: np.record) -> np.ndarray:
     """A record as an array of one element, in the same memory.
 

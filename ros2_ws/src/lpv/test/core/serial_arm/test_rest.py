@@ -9,7 +9,6 @@ from serial_arms import blamed, delivered, shoulder_arm, simulated, watch, with_
 from simulated_runs import Run
 from watched import Watched
 
-from lpv.core.serial_arm.diagnosis.sampler import JITTER
 from lpv.core.serial_arm.diagnosis.stuck import Frozen
 from lpv.core.serial_arm.dynamics.model import SerialModel
 from lpv.files import load_arm
@@ -233,7 +232,7 @@ def monitored(seed, jitter):
 
 @pytest.mark.parametrize('jitter', [0.0, 0.2])
 def test_given_stamps_that_scatter_when_the_arm_moves_then_their_error_is_learned(jitter):
-    learned = [np.sqrt(monitored(k, jitter).sampler.clock[JITTER]) / PERIOD for k in range(4)]
+    learned = [np.sqrt(monitored(k, jitter).sampler.state['jitter'][0]) / PERIOD for k in range(4)]
     assert np.median(learned) == pytest.approx(jitter, abs=0.05)
 
 

@@ -21,16 +21,7 @@ from lpv.core.serial_arm.diagnosis.information import ROBUST, recent
 from lpv.core.serial_arm.diagnosis.lines import BEND
 from lpv.core.serial_arm.diagnosis.priors import FAULT_AT_START
 from lpv.core.serial_arm.diagnosis.published_rates import rate_lag
-from lpv.core.serial_arm.diagnosis.sampler import (
-    CONTRARY,
-    HIDDEN,
-    LINE_JUMP,
-    LINE_LIMIT,
-    NOISY,
-    SPIKE,
-    STEP,
-    new_sampler,
-)
+from lpv.core.serial_arm.diagnosis.sampler import CONTRARY, HIDDEN, NOISY, SPIKE, STEP, new_sampler
 from lpv.core.serial_arm.diagnosis.sampling import push_sample
 from lpv.core.serial_arm.dynamics.kinematics import jacobian
 from lpv.core.serial_arm.dynamics.payload import with_payload
@@ -178,7 +169,7 @@ def sampled(time, readings, period, smallest, share=1.0, own=None):
     n = readings.shape[1]
     derived = np.full(n, 1.0 if own is None else 0.0)
     sampler = new_sampler(derived, np.full(n, 1e-4), np.full(n, smallest), 40, 50, np.ones(n), 0.01)
-    sampler.lines[LINE_LIMIT] = 6.5
+    sampler.lines['limit'] = 6.5
     rates = np.diff(readings, axis=0, prepend=readings[:1]) / period
     rates = low_passed(rates, share) if own is None else own
     found = []
@@ -306,7 +297,7 @@ def test_given_the_largest_accelerations_then_lines_jump_by_what_no_healthy_read
         jumps = []
         for k, reading in enumerate(readings):
             push_sample(sampler, period * (k + 1), reading, np.zeros(1), np.zeros(1))
-            jumps.append(abs(sampler.lines[LINE_JUMP, 0]))
+            jumps.append(abs(sampler.lines['jump'][0]))
         largest.append(max(jumps) / (most * period**2))
     assert max(largest) == pytest.approx(BEND, rel=0.02)
 

@@ -26,7 +26,7 @@ from lpv.core.serial_arm.diagnosis.estimator import (
 from lpv.core.serial_arm.diagnosis.healthy_set import HealthyRing, take_healthy
 from lpv.core.serial_arm.diagnosis.information import NEXT, slot
 from lpv.core.serial_arm.diagnosis.published_rates import readings_at_edges
-from lpv.core.serial_arm.diagnosis.sampler import BLOCKS, JITTER, PROBED, Sampler, readings_in_jump
+from lpv.core.serial_arm.diagnosis.sampler import Sampler, readings_in_jump
 from lpv.core.support.jit import njit_in_place
 from lpv.core.support.records import record_type
 
@@ -149,7 +149,7 @@ def _add_noise(parts: Parts) -> None:
             for block in parts.recent:
                 fastest = max(fastest, abs(block[n + j]))
                 wrong = max(wrong, abs(block[3 * n + 3] * block[n + j]))
-            noisy += rates * sampler.clock[JITTER] * fastest * fastest
+            noisy += rates * sampler.state[0].jitter * fastest * fastest
             late += rates * wrong * wrong
             if sampler.noisy[j] == 1:
                 mean = window.rows[at, i, 1 + OFFSET * n + j] ** 2 / samples
@@ -238,7 +238,7 @@ def decide(parts: Parts) -> None:
         state.stage = _RAISE if _find_levels(parts) else _END
     if state.stage == _END and not state.active:
         state.stage = _RATES
-    probe, probed = parts.sampler.probe.shape[0], parts.sampler.counters[PROBED]
+    probe, probed = parts.sampler.probe.shape[0], parts.sampler.state[0].probed
     if state.stage == _RATES and not (probe > 0 and probed == probe):
         state.stage = _DONE
 
@@ -247,7 +247,7 @@ def decide(parts: Parts) -> None:
 def _copy_recent(sampler: Sampler, recent: FloatArray, lost: FloatArray) -> None:
     """Copy the last blocks, oldest first."""
     count, capacity = recent.shape[0], sampler.blocks.shape[0]
-    first = sampler.counters[BLOCKS] - count
+    first = sampler.state[0].blocks - count
     for k in range(count):
         at = (first + k) % capacity
         for c in range(recent.shape[1]):

@@ -24,7 +24,7 @@ from lpv.core.serial_arm.diagnosis.linear_bank import STARTS
 from lpv.core.serial_arm.diagnosis.onset import weigh_errors
 from lpv.core.serial_arm.diagnosis.priors import SIZE
 from lpv.core.serial_arm.diagnosis.readings import Readings
-from lpv.core.serial_arm.diagnosis.sampler import BLOCK_LENGTH, ROUNDING, block_end
+from lpv.core.serial_arm.diagnosis.sampler import ROUNDING, block_end
 from lpv.core.serial_arm.diagnosis.stuck import LINEAR, Frozen, course_of_frozen
 
 ONSETS = len(STARTS)
@@ -78,7 +78,7 @@ class EndOfFault:
         sampler.blocks[places] = blocks
         sampler.correction[i] -= self.jump
         sampler.samples[:, 0, i] += self.jump
-        sampler.sums[0, i] += self.jump * sampler.clock[BLOCK_LENGTH]
+        sampler.sums[0, i] += self.jump * sampler.state['block_length'][0]
         estimator.replace_last(blocks)
         ends = estimator.times(len(estimator))[::-1]
         wrong = np.interp(ends, time, sigma)

@@ -16,7 +16,7 @@ from lpv.core.serial_arm.diagnosis.fault_filter import (
     follow_all,
 )
 from lpv.core.serial_arm.diagnosis.readings import Readings
-from lpv.core.serial_arm.diagnosis.sampler import BLOCK_LENGTH, put_back
+from lpv.core.serial_arm.diagnosis.sampler import put_back
 from lpv.core.serial_arm.diagnosis.sensor_state import SensorRecord
 from lpv.core.serial_arm.diagnosis.stuck import Course
 
@@ -247,7 +247,7 @@ class FollowedFaults:
             return
         sampler.samples[:, 0, i] += out
         sampler.blocks[:, i] += out
-        sampler.sums[0, i] += out * sampler.clock[BLOCK_LENGTH]
+        sampler.sums[0, i] += out * sampler.state['block_length'][0]
         self._readings.estimator.move_reference(i, out)
 
     def end(self, i: int) -> None:

@@ -20,26 +20,19 @@ from lpv.core.serial_arm.diagnosis.lines import (
     set_line_jumps,
 )
 from lpv.core.serial_arm.diagnosis.sampler import (
-    COUNT,
     HIDDEN,
     HISTORY,
-    JITTER,
     LATE,
     LEFT,
-    LINE_FOUND,
-    LINE_JUMP,
     LIVELY,
     MOST,
     NOISE_MEMORY,
     NOISY,
     NONE,
-    PENDING,
     QUIET,
     QUIET_COUNT,
     ROUNDING,
-    SEEN,
     SPIKE,
-    STAMPS,
     STEP,
     WRONG_RATE,
     Sampler,
@@ -76,11 +69,11 @@ def set_jumps(sampler: Sampler) -> None:
     """Write e of the last sample but one, less what a wrong stamp explains."""
     k, n, beyond = HISTORY - 2, sampler.scale.shape[0], False
     period = sampler.time[k] - sampler.time[k - 1]
-    if sampler.clock[SEEN] == 0.0:
-        sampler.clock[JITTER], sampler.clock[SEEN] = expected_jitter(period), 1.0
+    if sampler.state[0].seen == 0.0:
+        sampler.state[0].jitter, sampler.state[0].seen = expected_jitter(period), 1.0
     for i in range(n):
         rate = 0.0 if sampler.noisy[i] == 1 else rate_before(sampler, i)
-        stamps = sampler.clock[JITTER] * readings_in_jump(sampler, i)
+        stamps = sampler.state[0].jitter * readings_in_jump(sampler, i)
         more = noise_of_gaps(sampler, i, period) if sampler.derived[i] == 1.0 else 1.0
         sampler.usual[i] = np.sqrt(more * sampler.scale[i] ** 2 + stamps * rate * rate)
         sampler.jumps[k, i] = 0.0
@@ -127,7 +120,7 @@ def set_jumps(sampler: Sampler) -> None:
 def _is_wrong_rate(sampler: Sampler, i: int) -> bool:
     """Whether e repeats itself, as it does where a rate of its own is wrong: a step shows once."""
     k = HISTORY - 2
-    if sampler.derived[i] == 1.0 or sampler.counters[COUNT] < 5:
+    if sampler.derived[i] == 1.0 or sampler.state[0].count < 5:
         return False
     first, before, own = _apart(sampler, i, k - 2), _apart(sampler, i, k - 1), _apart(sampler, i, k)
     if sampler.doubtful[k - 1, i] == WRONG_RATE:  # where it ends, e is half as large
@@ -176,7 +169,7 @@ def _unexplained(sampler: Sampler, i: int, period: float, late: float) -> float:
 @njit_in_place
 def find_jumps(sampler: Sampler) -> None:
     """After a large e, name clear steps at once, and what else it is 3 samples later."""
-    n, k, waits = sampler.scale.shape[0], HISTORY - 2, sampler.counters[PENDING] >= 0
+    n, k, waits = sampler.scale.shape[0], HISTORY - 2, sampler.state[0].pending >= 0
     even = set_line_jumps(sampler)
     for i in range(n):
         beyond = _is_beyond(sampler, i, k)
@@ -184,17 +177,17 @@ def find_jumps(sampler: Sampler) -> None:
         if sampler.noisy[i] == 1:
             continue
         if beyond:
-            sampler.counters[PENDING] = max(sampler.counters[PENDING], 0)
+            sampler.state[0].pending = max(sampler.state[0].pending, 0)
         elif not waits and not (sampler.still[i] > HISTORY and sampler.lively[i] > LIVELY):
             own = sampler.scale[i] / sampler.usual[i]
             learn_scale(sampler, i, sampler.jumps[k, i] * own, 1.0)
             if even:
                 learn_line_scale(sampler, i)
-    if sampler.counters[PENDING] < 0:
+    if sampler.state[0].pending < 0:
         learn_jitter(sampler)
     if waits:
-        sampler.counters[PENDING] += 1
-    elif sampler.counters[PENDING] < 0:
+        sampler.state[0].pending += 1
+    elif sampler.state[0].pending < 0:
         if even:
             _find_small_steps(sampler)
         return
@@ -202,9 +195,9 @@ def find_jumps(sampler: Sampler) -> None:
         if sampler.noisy[i] == 0 and _is_clear_step(sampler, i):
             _remove_step(sampler, i, k)
             sampler.jumps[k - 1, i] = 0.0
-    if sampler.counters[PENDING] < 3:
+    if sampler.state[0].pending < 3:
         return
-    sampler.counters[PENDING] = -1
+    sampler.state[0].pending = -1
     for i in range(n):
         if sampler.found[i] == NONE and sampler.noisy[i] == 0:
             _name_jump(sampler, i)
@@ -216,9 +209,9 @@ def _find_small_steps(sampler: Sampler) -> None:
     for i in range(sampler.scale.shape[0]):
         if sampler.noisy[i] == 1 or not is_step_between_lines(sampler, i):
             continue
-        sampler.jumps[AFTER, i] = sampler.lines[LINE_JUMP, i]
+        sampler.jumps[AFTER, i] = sampler.lines[i].jump
         _remove_step(sampler, i, AFTER)
-        sampler.lines[LINE_FOUND, i] = 1.0
+        sampler.lines[i].found = 1.0
         sampler.jumps[AFTER - 1, i] = sampler.jumps[AFTER + 1, i] = 0.0
 
 
@@ -311,7 +304,7 @@ def _name_jump(sampler: Sampler, i: int) -> None:
         if abs(again - size) < LEFT * abs(size):
             _smooth_rates(sampler, i, peak + 1, 1)
             return
-    if doubt == 0 or (doubt == 1 and sampler.clock[STAMPS] == 0.0 and _lasts(sampler, i, peak)):
+    if doubt == 0 or (doubt == 1 and sampler.state[0].stamps == 0.0 and _lasts(sampler, i, peak)):
         if not _shakes(sampler, i, peak - 1, size):
             _remove_step(sampler, i, peak)
     elif doubt == 3:
@@ -377,7 +370,7 @@ def _remove_step(sampler: Sampler, i: int, peak: int) -> None:
     sampler.found[i] = STEP
     sampler.size[i] = size
     sampler.since[i] = HISTORY - peak
-    sampler.lines[LINE_FOUND, i] = 0.0
+    sampler.lines[i].found = 0.0
     sampler.correction[i] += size
     for k in range(peak, HISTORY):
         sampler.samples[k, 0, i] -= size

@@ -8,16 +8,10 @@ a motion's third derivative bends them eight times as much: what they usually ju
 import numpy as np
 
 from lpv.core.serial_arm.diagnosis.sampler import (
-    COUNT,
     HISTORY,
     LATE,
     LEFT,
-    LINE_JUMP,
-    LINE_LIMIT,
-    LINE_SCALE,
-    LINE_WAIT,
     MOST,
-    STAMPS,
     USUAL_JUMP,
     Sampler,
     learned_scale,
@@ -44,13 +38,13 @@ def set_line_jumps(sampler: Sampler) -> bool:
     """
     time, last, n = sampler.time, HISTORY - 1, sampler.scale.shape[0]
     for i in range(n):
-        wait = HISTORY if sampler.filled[i] > 0 else sampler.lines[LINE_WAIT, i] - 1.0
-        sampler.lines[LINE_WAIT, i] = max(wait, 0.0)
+        wait = HISTORY if sampler.filled[i] > 0 else sampler.lines[i].wait - 1.0
+        sampler.lines[i].wait = max(wait, 0.0)
     longest, shortest, uneven = 0.0, np.inf, 0.0
     for k in range(1, HISTORY):
         longest = max(longest, time[k] - time[k - 1])
         shortest = min(shortest, time[k] - time[k - 1])
-    if sampler.counters[COUNT] < HISTORY or longest > LATE * shortest:
+    if sampler.state[0].count < HISTORY or longest > LATE * shortest:
         return False
     for j in range(AFTER):  # time by which the stamps differ from even ones, as weighed
         uneven += _WEIGHTS[j] * (time[AFTER + j] - time[AFTER - 1 - j])
@@ -59,16 +53,16 @@ def set_line_jumps(sampler: Sampler) -> bool:
         jump = -uneven * (reading[last] - reading[0]) / (time[last] - time[0])
         for j in range(AFTER):
             jump += _WEIGHTS[j] * (reading[AFTER + j] - reading[AFTER - 1 - j])
-        sampler.lines[LINE_JUMP, i] = jump
+        sampler.lines[i].jump = jump
     return True
 
 
 @njit_in_place
 def learn_line_scale(sampler: Sampler, i: int) -> None:
     """Learn what is usual from the last jump between lines; one of filled readings tells little."""
-    if sampler.lines[LINE_WAIT, i] == 0.0:
-        scale, jump = sampler.lines[LINE_SCALE, i], sampler.lines[LINE_JUMP, i]
-        sampler.lines[LINE_SCALE, i] = learned_scale(scale, jump, 1.0)
+    if sampler.lines[i].wait == 0.0:
+        scale, jump = sampler.lines[i].scale, sampler.lines[i].jump
+        sampler.lines[i].scale = learned_scale(scale, jump, 1.0)
 
 
 @njit_in_place
@@ -79,18 +73,18 @@ def is_step_between_lines(sampler: Sampler, i: int) -> bool:
     that changes at once, within one period, does not explain is beyond chance; most of it shows in
     e, lines leave little of it, and no other reading jumps.
     """
-    jump, least = abs(sampler.lines[LINE_JUMP, i]), least_jump(sampler, i)
-    chance = sampler.lines[LINE_LIMIT, i] * _usual(sampler, i)
-    if sampler.derived[i] == 0.0 or sampler.lines[LINE_WAIT, i] > 0.0:
+    jump, least = abs(sampler.lines[i].jump), least_jump(sampler, i)
+    chance = sampler.lines[i].limit * _usual(sampler, i)
+    if sampler.derived[i] == 0.0 or sampler.lines[i].wait > 0.0:
         return False
-    if sampler.clock[STAMPS] == 1.0 or smallest_jump(sampler, i) <= least:
+    if sampler.state[0].stamps == 1.0 or smallest_jump(sampler, i) <= least:
         return False
     if not (jump > least and jump > chance):
         return False
     for k in range(HISTORY - 1):
         if sampler.doubtful[k, i] > 0:
             return False
-    e = sampler.jumps[AFTER, i] * np.sign(sampler.lines[LINE_JUMP, i])
+    e = sampler.jumps[AFTER, i] * np.sign(sampler.lines[i].jump)
     if e <= MOST * max(jump, USUAL_JUMP * sampler.usual[i]):
         return False
     (before, rest), (after, left) = _line(sampler, i, 0), _line(sampler, i, AFTER)
@@ -104,7 +98,7 @@ def _usual(sampler: Sampler, i: int) -> float:
 
     Errors of stamps are in the scale, too: what is learned of them may be noise of readings.
     """
-    return float(sampler.lines[LINE_SCALE, i] * sampler.usual[i] / sampler.scale[i])
+    return float(sampler.lines[i].scale * sampler.usual[i] / sampler.scale[i])
 
 
 @njit_in_place
@@ -127,6 +121,6 @@ def _line(sampler: Sampler, i: int, first: int) -> tuple[float, float]:
 def _is_shared(sampler: Sampler, i: int) -> bool:
     """Whether another reading jumps as well, as they do by wrong stamps."""
     for j in range(sampler.scale.shape[0]):
-        if j != i and abs(sampler.lines[LINE_JUMP, j]) > USUAL_JUMP * _usual(sampler, j):
+        if j != i and abs(sampler.lines[j].jump) > USUAL_JUMP * _usual(sampler, j):
             return True
     return False

@@ -66,20 +66,14 @@ from lpv.core.serial_arm.diagnosis.published_rates import CONTRADICTIONS
 from lpv.core.serial_arm.diagnosis.rate_sources import RateSources
 from lpv.core.serial_arm.diagnosis.readings import Readings
 from lpv.core.serial_arm.diagnosis.sampler import (
-    APART,
     CONTRARY,
-    CONTRARY_AT,
     DELAY,
     HIDDEN,
     JUMP_SCALE,
     LEFT,
-    LINE_FOUND,
-    LINE_LIMIT,
     MOST,
     NOISE_MEMORY,
     NOISY,
-    PENDING,
-    REPLACED,
     SPIKE,
     STEP,
     Sampler,
@@ -168,7 +162,7 @@ class SerialMonitor:
         self.sampler.smallest[:] = settings.smallest_jump * self.scales
         # Noise is beyond z standard deviations with a probability of at most exp(-z^2 / 2).
         tests = settings.threshold(self.arm.sample_time / self.joints)
-        self.sampler.lines[LINE_LIMIT] = math.sqrt(2.0 * tests)
+        self.sampler.lines['limit'] = math.sqrt(2.0 * tests)
         state['threshold'] = settings.threshold(self.plan.interval)
         state['widest'], state['smallest'] = WIDEST_LEVEL, settings.minimum_threshold
         state['sigmas'], state['later'] = settings.sigmas, settings.threshold(HORIZON)
@@ -479,7 +473,7 @@ class SerialMonitor:
         readings say of a long one with its ratio to a short one.
         """
         periods, bound = np.diff(self.sampler.time), float(self._jump_bound[i])
-        if self.sampler.lines[LINE_FOUND, i] == 1.0:
+        if self.sampler.lines['found'][i] == 1.0:
             bound *= BEND
         longest, shortest = float(periods.max()), float(periods.min())
         is_far = jump > bound * (longest / self.arm.sample_time) ** 2
@@ -815,16 +809,16 @@ class SerialMonitor:
 
     def _blame_derived_rate(self, i: int, now: float) -> None:
         """A rate contradicts the reading that it is said to be derived from, as one that wraps."""
-        apart = float(self.sampler.contrast[APART, i])
+        apart = float(self.sampler.contrast['apart'][i])
         onset = now - CONTRADICTIONS * self.arm.sample_time
         self.rates[i].confirm('rate_bias', onset, abs(apart))
-        self.sampler.contrast[REPLACED, i] = 1.0
+        self.sampler.contrast['replaced'][i] = 1.0
         self._event(i, 'rate_bias', onset, AlarmEvent.RAISED, apart, 0.0)
 
     def _rate_agrees(self, i: int, now: float) -> bool:
         """Whether a rate has agreed with its reading of late."""
         if self.sampler.derived[i] == 1.0:
-            agrees_since = now - float(self.sampler.contrast[CONTRARY_AT, i])
+            agrees_since = now - float(self.sampler.contrast['contrary_at'][i])
             return agrees_since > STARTS[-1] - self.settings.clear_dwell
         return self.bank.kinematics.agrees(i, float(self.sampler.rate_error[i])) > 0.0
 
@@ -927,7 +921,7 @@ class SerialMonitor:
                 error = float(self.sampler.rate_error[i])
                 since = now - dwell - self.bank.kinematics.agrees(i, error)
                 correct_rates_since(i, since, -error, self.readings)
-                self.sampler.rate_error[i] = self.sampler.contrast[REPLACED, i] = 0.0
+                self.sampler.rate_error[i] = self.sampler.contrast['replaced'][i] = 0.0
                 # When exactly the rate was right again is not known.
                 self.bank.restart_statistic()
                 self._event(i, record.kind, record.onset, AlarmEvent.CLEARED, 0.0, 0.0)
@@ -967,7 +961,7 @@ class SerialMonitor:
 
     def _moved_on(self, i: int) -> bool:
         """Whether a reading has moved for long enough for a jump to have been seen."""
-        return self.sensors[i].over_since is not None and self.sampler.counters[PENDING] < 0
+        return self.sensors[i].over_since is not None and self.sampler.state['pending'][0] < 0
 
     def _lose_count(self, i: int) -> None:
         """A frozen reading moves on without a jump: its joint may be where it was lost.

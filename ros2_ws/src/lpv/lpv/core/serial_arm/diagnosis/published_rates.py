@@ -6,20 +6,11 @@ from lpv.core.serial_arm.chain import FloatArray
 from lpv.core.serial_arm.diagnosis.balance import READINGS_AT_EDGES
 from lpv.core.serial_arm.diagnosis.information import ROBUST
 from lpv.core.serial_arm.diagnosis.sampler import (
-    APART,
-    CONTRARY_AT,
-    COUNT,
     HISTORY,
     JUMP_SCALE,
-    LARGEST,
     NOISE_MEMORY,
-    PROBED,
     SCALE_MEMORY,
-    SMALLEST,
-    TIMES_WRONG,
-    USUAL,
     USUAL_JUMP,
-    WRONG,
     Sampler,
     readings_in_jump,
 )
@@ -40,13 +31,13 @@ _MOST = 0.5
 @njit_in_place
 def keep_probe(sampler: Sampler, time: float, y: FloatArray, v: FloatArray) -> None:
     """Keep a sample of those that tell whether rates are derived from their readings."""
-    k, n = sampler.counters[PROBED], y.shape[0]
+    k, n = sampler.state[0].probed, y.shape[0]
     if k >= 0:
         row = sampler.probe[k]
         row[0] = time
         for i in range(n):
             row[1 + i], row[1 + n + i] = y[i], v[i]
-    sampler.counters[PROBED] += 1
+    sampler.state[0].probed += 1
 
 
 @njit_in_place
@@ -57,7 +48,7 @@ def watch_lag(sampler: Sampler, i: int, way: float, rate: float, period: float) 
     """
     before = sampler.published[0, i]
     sampler.published[0, i] = rate
-    if sampler.derived[i] == 0.0 or sampler.counters[COUNT] == 0:
+    if sampler.derived[i] == 0.0 or sampler.state[0].count == 0:
         return
     change, more = rate - before, way / period - 0.5 * (rate + before)
     sampler.published[1, i] += more * change
@@ -74,27 +65,27 @@ def watch_contrast(sampler: Sampler, i: int, difference: float, rate: float, lag
     neither, and moves less than the joint; a difference that a stamp turns round, by at most `LATE`
     periods, is at most half the rate.
     """
-    own, count = sampler.contrast[:, i], sampler.counters[COUNT]
+    own, count = sampler.contrast[i], sampler.state[0].count
     if sampler.derived[i] == 0.0 or count == 0:
         return
     kept = 1.0 - 1.0 / (_REMEMBERED * (1.0 + lag))
-    own[LARGEST] = max(difference, kept * own[LARGEST])
-    own[SMALLEST] = min(difference, kept * own[SMALLEST])
-    apart, usual, learned = abs(rate - difference), own[USUAL], count > NOISE_MEMORY
+    own.largest = max(difference, kept * own.largest)
+    own.smallest = min(difference, kept * own.smallest)
+    apart, usual, learned = abs(rate - difference), own.usual, count > NOISE_MEMORY
     opposite = rate * difference < 0.0 and abs(rate) < abs(difference)
-    contrary = opposite and apart > max(own[LARGEST], -own[SMALLEST])
+    contrary = opposite and apart > max(own.largest, -own.smallest)
     if not contrary:
         power = (min(apart, ROBUST * usual) if learned else apart) ** 2
-        own[USUAL] = np.sqrt(usual * usual + (power - usual * usual) / min(count, SCALE_MEMORY))
-    is_between = own[SMALLEST] <= rate <= own[LARGEST]
+        own.usual = np.sqrt(usual * usual + (power - usual * usual) / min(count, SCALE_MEMORY))
+    is_between = own.smallest <= rate <= own.largest
     is_usual = lag > 0.0 or not learned or apart <= JUMP_SCALE * usual
     moves = sampler.still[i] + sampler.held[i] == 0 and count > CONTRADICTIONS
     # Differences over less than a period, taken by a faster driver, have more noise.
     wrong = moves and contrary and apart > USUAL_JUMP * usual and not (is_between and is_usual)
-    own[WRONG] = 1.0 if wrong else 0.0
-    own[TIMES_WRONG] += own[WRONG] - own[TIMES_WRONG] / NOISE_MEMORY
-    if wrong and own[TIMES_WRONG] > CONTRADICTIONS - 0.5:  # less what is forgotten
-        own[CONTRARY_AT], own[APART] = sampler.time[HISTORY - 1], rate - difference
+    own.wrong = 1.0 if wrong else 0.0
+    own.times_wrong += own.wrong - own.times_wrong / NOISE_MEMORY
+    if wrong and own.times_wrong > CONTRADICTIONS - 0.5:  # less what is forgotten
+        own.contrary_at, own.apart = sampler.time[HISTORY - 1], rate - difference
 
 
 @njit_in_place

@@ -3,7 +3,7 @@
 import numpy as np
 
 from lpv.core.serial_arm.description import SerialArm
-from lpv.core.serial_arm.diagnosis.sampler import PROBED, Sampler
+from lpv.core.serial_arm.diagnosis.sampler import Sampler
 from lpv.core.serial_arm.rate_independence import PROVED, SAMPLES, rate_source
 from lpv.core.support.timestamps import NANOSECONDS
 
@@ -40,5 +40,5 @@ class RateSources:
         self._unproved = sorted(derived + unproved)
         self._probed += len(probe)
         # As many samples later: what did not show so far may never do.
-        sampler.counters[PROBED] = -self._probed if self._unproved else len(probe) + 1
+        sampler.state['probed'][0] = -self._probed if self._unproved else len(probe) + 1
         return []

@@ -10,14 +10,7 @@ from lpv.core.serial_arm.chain import FloatArray, IntArray
 from lpv.core.serial_arm.diagnosis.decision import reading_noise
 from lpv.core.serial_arm.diagnosis.estimator import OffsetEstimator
 from lpv.core.serial_arm.diagnosis.priors import ACCELERATIONS, SLOW_RATE
-from lpv.core.serial_arm.diagnosis.sampler import (
-    BEFORE_STOP,
-    BLOCKS,
-    IN_INTERVAL,
-    ROUNDING,
-    Sampler,
-    block_end,
-)
+from lpv.core.serial_arm.diagnosis.sampler import BEFORE_STOP, ROUNDING, Sampler, block_end
 from lpv.core.serial_arm.diagnosis.stuck import at_rest, usual_acceleration
 
 
@@ -38,7 +31,7 @@ class Readings(NamedTuple):
 
     def places(self, intervals: int) -> IntArray:
         """Places of the last blocks in the ring, oldest first."""
-        capacity, written = len(self.sampler.blocks), int(self.sampler.counters[BLOCKS])
+        capacity, written = len(self.sampler.blocks), int(self.sampler.state['blocks'][0])
         count = min(intervals * self.estimator.plan.blocks, written, capacity)
         return np.arange(written - count, written) % capacity
 
@@ -56,7 +49,7 @@ class Readings(NamedTuple):
     def balanced(self) -> FloatArray:
         """Those of the horizon in whole intervals, without the one that is not complete yet."""
         blocks, per_interval = self.blocks(len(self.estimator) + 2), self.estimator.plan.blocks
-        whole = blocks[: len(blocks) - int(self.sampler.counters[IN_INTERVAL])]
+        whole = blocks[: len(blocks) - int(self.sampler.state['in_interval'][0])]
         return whole[len(whole) % per_interval :]
 
     def ended(self) -> float:

@@ -2,7 +2,6 @@
 
 from lpv.core.serial_arm.diagnosis.information import ROBUST
 from lpv.core.serial_arm.diagnosis.sampler import (
-    COUNT,
     DELAY,
     HISTORY,
     Sampler,
@@ -27,7 +26,7 @@ def fill_repeated(sampler: Sampler) -> None:
             since = sampler.time[now] - sampler.time[now - 3]
             _go_on(sampler, i, now - 3, (reading[now] - reading[now - 3]) / since)
         if held > 0 and not _is_late(sampler, i):  # it rested
-            if sampler.derived[i] == 1.0 and sampler.counters[COUNT] > 0:
+            if sampler.derived[i] == 1.0 and sampler.state[0].count > 0:
                 time = (held + 1) * (sampler.time[now] - sampler.time[now - 1])
                 sampler.samples[now, 1, i] = (reading[now] - reading[now - 1]) / time
         elif held > 0:
@@ -77,7 +76,7 @@ def _was_late_again(sampler: Sampler, i: int) -> bool:
 @njit_in_place
 def _is_late(sampler: Sampler, i: int) -> bool:
     """Whether the samples in which a reading was repeated are still to enter the balance."""
-    return bool(sampler.held[i] <= min(DELAY, sampler.counters[COUNT] - 2))
+    return bool(sampler.held[i] <= min(DELAY, sampler.state[0].count - 2))
 
 
 @njit_in_place

@@ -8,6 +8,7 @@ from lpv.core.serial_arm.chain import FloatArray, IntArray
 from lpv.core.serial_arm.diagnosis.information import ROBUST, median
 from lpv.core.serial_arm.diagnosis.priors import COARSEST_ROUNDING
 from lpv.core.support.jit import njit_in_place
+from lpv.core.support.records import memory, new_record, new_records, record_type
 
 DELAY = 5
 """Samples after which one enters the balance: until then it is moved if a late driver repeated it,
@@ -25,25 +26,6 @@ NONE, STEP, SPIKE, NOISY, QUIET, HIDDEN, CONTRARY = range(7)
 its rate, said to be derived from it, contradicts it."""
 WRONG_RATE = 4
 """Value of `Sampler.doubtful` where a rate of its own, that is wrong, explains e."""
-LARGEST, SMALLEST, USUAL, APART, WRONG, TIMES_WRONG, CONTRARY_AT, REPLACED = range(8)
-"""Rows of `Sampler.contrast`: the largest and the smallest difference of the reading lately; by how
-much its published rate differs from them usually, and now [rad/s]; 1 where it contradicts them, how
-often it did lately, and when last [s]; 1 while differences replace it."""
-LINE_JUMP, LINE_SCALE, LINE_LIMIT, LINE_WAIT, LINE_FOUND = range(5)
-"""Rows of `Sampler.lines`: the last jump between lines; its usual size [rad]; over how many times
-that it is a step; samples until none of those kept is next to one that was filled in; 1 where the
-last step was found between lines."""
-COUNT, IN_BLOCK, IN_INTERVAL, PENDING, BLOCKS, PROBED = range(6)
-"""Entries of `Sampler.counters`: samples since the start, in the block; blocks in the interval;
-sensor-independent age of a jump that waits for its kind, -1 if none; blocks written; samples in the
-probe, or those until one begins, times -1."""
-(STAMPS, TIMES_OFF, UNTIL_OFF, RIGHT_FOR, JITTER, SEEN, LATEST, LATE_FROM, LATE_UNTIL, IN_DOUBT,
- BLOCK_LENGTH, TIMES) = range(12)  # fmt: skip
-"""Entries of `Sampler.clock` [s]: 1 once a stamp has been wrong, until they are right for long; how
-often one was, in how many samples, and samples since then; the usual variance of stamps [s2], and
-of how many it was learned; by how much stamps were wrong lately, from and until when, and by
-how much those of the block may be; the length of the block so far, and the integral of time [s2]
-over it."""
 ROUNDING = 1e-12
 """Change of a reading that rounding explains, where it was found from joint positions [rad]."""
 _SINGLE_PRECISION = 1e-6
@@ -67,6 +49,47 @@ QUIET_COUNT = 0.5
 """Jumps among those from which on no noise is left."""
 
 
+STATE = record_type(
+    ('count', 'i8'),  # samples
+    ('in_block', 'i8'),  # samples in the block
+    ('in_interval', 'i8'),  # blocks in the interval
+    ('pending', 'i8'),  # sensor-independent age of a jump that waits for its kind, -1 if none
+    ('blocks', 'i8'),  # blocks written
+    ('probed', 'i8'),  # samples in the probe, or those until one begins, times -1
+    ('late_from', 'f8'),  # from when they were [s]
+    ('late_until', 'f8'),  # until when [s]
+    ('in_doubt', 'f8'),  # by how much stamps of the block may be wrong [s]
+    ('block_length', 'f8'),  # of the block so far [s]
+    ('times', 'f8'),  # integral of time over it [s2]
+    ('stamps', 'f8'),  # 1 once a stamp has been wrong, until they are right for long
+    ('times_off', 'f8'),  # how often one was
+    ('until_off', 'f8'),  # in how many samples
+    ('right_for', 'f8'),  # samples since then
+    ('jitter', 'f8'),  # usual variance of stamps [s2]
+    ('seen', 'f8'),  # of how many stamps it was learned
+    ('latest', 'f8'),  # by how much stamps were wrong lately [s]
+)
+LEARNED = 'stamps', 'times_off', 'until_off', 'right_for', 'jitter', 'seen', 'latest'
+"""What of these is kept after a gap in the samples."""
+LINES = record_type(
+    ('jump', 'f8'),  # the last one between lines [rad]
+    ('scale', 'f8'),  # its usual size [rad]
+    ('limit', 'f8'),  # over how many times that it is a step
+    ('wait', 'f8'),  # samples until none of those kept is next to one that was filled in
+    ('found', 'f8'),  # 1 where the last step was found between lines
+)
+CONTRAST = record_type(
+    ('largest', 'f8'),  # difference of the reading lately [rad/s]
+    ('smallest', 'f8'),  # the same [rad/s]
+    ('usual', 'f8'),  # what the published rate differs from them by [rad/s]
+    ('apart', 'f8'),  # what it does now [rad/s]
+    ('wrong', 'f8'),  # 1 where it contradicts them
+    ('times_wrong', 'f8'),  # how often it did lately
+    ('contrary_at', 'f8'),  # when last [s]
+    ('replaced', 'f8'),  # 1 while differences replace it
+)
+
+
 class Sampler(NamedTuple):
     """Samples on their way into the balance."""
 
@@ -75,7 +98,7 @@ class Sampler(NamedTuple):
     jumps: FloatArray  # e of each, shape (HISTORY, n)
     scale: FloatArray  # usual size of e by the readings, shape (n,) [rad]
     usual: FloatArray  # (n,) that of the last e, by the errors of stamps, too [rad]
-    lines: FloatArray  # (5, n) jumps between lines through four samples, see `LINE_JUMP`
+    lines: np.ndarray  # (n,) of `LINES`: jumps between lines through four samples
     calm: FloatArray  # (n,) square of scale where it was small, over the blocks kept [rad2]
     smallest: FloatArray  # smallest jump that is looked for, shape (n,) [rad]
     unit: FloatArray  # (n,) what counts as much as 1 rad, see `SerialJoint.scale` [rad]
@@ -113,10 +136,9 @@ class Sampler(NamedTuple):
     # (4, n) published rates of the last sample [rad/s]; products of what the readings' differences
     # are more than the rates around them with the changes of these, and squares of both [rad2/s2]
     published: FloatArray
-    contrast: FloatArray  # (8, n) what published rates are compared with, see `LARGEST`
+    contrast: np.ndarray  # (n,) of `CONTRAST`: what published rates are compared with
     probe: FloatArray  # (P, 2 n + 1) samples in a row as they came: time, readings, rates
-    counters: IntArray  # (6,)
-    clock: FloatArray  # moments, shape (12,) [s]
+    state: np.ndarray  # memory of a record of `STATE`
     period: float  # sample time of the file [s]
 
 
@@ -136,10 +158,8 @@ def new_sampler(
     shape (n,) [rad]; ``period`` is the sample time [s].
     """
     n = len(derived)
-    counters = np.zeros(6, np.int64)
-    counters[PENDING] = -1
-    lines = np.zeros((5, n))
-    lines[LINE_SCALE], lines[LINE_LIMIT] = scale, np.inf
+    lines, contrast = new_records(LINES, n), new_records(CONTRAST, n)
+    lines['scale'], lines['limit'] = scale, np.inf
     return Sampler(
         np.zeros(HISTORY), np.zeros((HISTORY, 3, n)), np.zeros((HISTORY, n)), scale.copy(),
         scale.copy(), lines, scale * scale, smallest.copy(), unit.copy(),
@@ -149,8 +169,8 @@ def new_sampler(
         np.zeros(n), np.zeros(n), np.full(n, np.inf), np.zeros(n, np.int64), np.zeros(n, np.int64),
         np.zeros(n), np.zeros(n), np.full(n, np.inf), np.full(n, np.inf), np.zeros((4, n)),
         np.zeros(n, np.int64), np.zeros((HISTORY, n), np.int64), np.zeros(n, np.int64),
-        np.zeros((4, n)), np.zeros((8, n)), np.zeros((probe, 2 * n + 1)), counters,
-        np.zeros(12), period)  # fmt: skip
+        np.zeros((4, n)), contrast, np.zeros((probe, 2 * n + 1)),
+        memory(new_record(STATE, pending=-1)), period)  # fmt: skip
 
 
 @njit_in_place
@@ -158,7 +178,7 @@ def measure_stop(sampler: Sampler, i: int) -> None:
     """Rate that a reading had before it came to rest; noise tells none."""
     last = HISTORY - 1 - sampler.still[i]
     first = last - BEFORE_STOP
-    if sampler.noisy[i] == 1 or sampler.counters[COUNT] <= BEFORE_STOP:
+    if sampler.noisy[i] == 1 or sampler.state[0].count <= BEFORE_STOP:
         sampler.stop[i] = 0.0
     elif first >= 0:
         way = sampler.samples[last, 0, i] - sampler.samples[first, 0, i]
@@ -260,7 +280,7 @@ def rate_before(sampler: Sampler, i: int) -> float:
 
     Of a reading that jumped lately it is the part that e does not explain: noise is no motion.
     """
-    last, first, largest = HISTORY - 5, max(HISTORY - sampler.counters[COUNT], 0), 0.0
+    last, first, largest = HISTORY - 5, max(HISTORY - sampler.state[0].count, 0), 0.0
     if last <= first:
         return 0.0
     if sampler.noise[0, i] > QUIET_COUNT:

@@ -14,27 +14,14 @@ from lpv.core.serial_arm.diagnosis.published_rates import (
 )
 from lpv.core.serial_arm.diagnosis.repeated_readings import fill_repeated
 from lpv.core.serial_arm.diagnosis.sampler import (
-    BLOCK_LENGTH,
-    BLOCKS,
     CONTRARY,
-    CONTRARY_AT,
-    COUNT,
     DELAY,
     HISTORY,
-    IN_BLOCK,
-    IN_DOUBT,
-    IN_INTERVAL,
     LATE,
-    LATE_FROM,
-    LATE_UNTIL,
-    LATEST,
+    LEARNED,
     NONE,
-    PENDING,
-    PROBED,
-    REPLACED,
     ROUNDING,
-    TIMES,
-    WRONG,
+    STATE,
     Sampler,
     measure_stop,
     removed,
@@ -55,7 +42,7 @@ def push_sample(
     """
     n = y.shape[0]
     period = time - sampler.time[HISTORY - 1]
-    if sampler.counters[PROBED] < sampler.probe.shape[0]:
+    if sampler.state[0].probed < sampler.probe.shape[0]:
         keep_probe(sampler, time, y, v)
     for k in range(HISTORY - 1):
         sampler.time[k] = sampler.time[k + 1]
@@ -65,7 +52,7 @@ def push_sample(
             for part in range(3):
                 sampler.samples[k, part, i] = sampler.samples[k + 1, part, i]
     sampler.time[HISTORY - 1] = time
-    follows = sampler.counters[COUNT] > 0  # else the sample before is on the other side of a gap
+    follows = sampler.state[0].count > 0  # else the sample before is on the other side of a gap
     lag, hidden = rate_lag(sampler), rate_lag(sampler, 0.0)
     for i in range(n):
         sampler.found[i] = NONE
@@ -97,23 +84,23 @@ def push_sample(
         sampler.measured[i] = sampler.measured[i] + 1.0 if is_measured else 0.0
         sampler.samples[HISTORY - 1, 2, i] = torque[i] if is_measured else 0.0
     for i in range(n):
-        wrong = sampler.contrast[WRONG, i] + sampler.contrast[REPLACED, i] > 0.0
+        wrong = sampler.contrast[i].wrong + sampler.contrast[i].replaced > 0.0
         if follows and (wrong or (lag > 0.0 and sampler.derived[i] == 1.0)):
             way = sampler.samples[HISTORY - 1, 0, i] - sampler.samples[HISTORY - 2, 0, i]
             sampler.samples[HISTORY - 1, 1, i] = way / period
     fill_repeated(sampler)
-    if sampler.counters[COUNT] > 1 and period > LATE * (
+    if sampler.state[0].count > 1 and period > LATE * (
         sampler.time[HISTORY - 2] - sampler.time[HISTORY - 3]
     ):
         note_wrong_stamp(sampler)
-    sampler.counters[COUNT] += 1
+    sampler.state[0].count += 1
     watch_stamps(sampler)
-    if sampler.counters[COUNT] >= 3:
+    if sampler.state[0].count >= 3:
         set_jumps(sampler)
         find_jumps(sampler)
     for i in range(n):  # a jump goes first; a rate that is wrong is so again
-        own = sampler.contrast[:, i]
-        if sampler.found[i] == NONE and own[WRONG] > own[REPLACED] and own[CONTRARY_AT] == time:
+        own = sampler.contrast[i]
+        if sampler.found[i] == NONE and own.wrong > own.replaced and own.contrary_at == time:
             sampler.found[i] = CONTRARY
 
 
@@ -124,7 +111,7 @@ def move_to_balance(sampler: Sampler, balance: Balance, per_block: int, blocks: 
     A block has ``per_block`` samples, an interval has ``blocks``.
     """
     k = HISTORY - 1 - DELAY
-    if sampler.counters[COUNT] <= DELAY + 1:
+    if sampler.state[0].count <= DELAY + 1:
         return False
     n, now = sampler.scale.shape[0], sampler.time[k]
     # A sample stands for the time to halfway to its neighbours, where others are missing, too.
@@ -141,15 +128,15 @@ def move_to_balance(sampler: Sampler, balance: Balance, per_block: int, blocks: 
         if sampler.time[gap + 1] - sampler.time[gap] > sampler.period:
             for i in range(n):
                 sampler.hidden[i] += 0.5 * _hidden(sampler, gap, i)
-    sampler.clock[BLOCK_LENGTH] += length
-    sampler.clock[TIMES] += length * now
-    if sampler.clock[LATE_FROM] < now < sampler.clock[LATE_UNTIL]:
-        sampler.clock[IN_DOUBT] = sampler.clock[LATEST]
-    sampler.counters[IN_BLOCK] += 1
-    if sampler.counters[IN_BLOCK] < per_block:
+    sampler.state[0].block_length += length
+    sampler.state[0].times += length * now
+    if sampler.state[0].late_from < now < sampler.state[0].late_until:
+        sampler.state[0].in_doubt = sampler.state[0].latest
+    sampler.state[0].in_block += 1
+    if sampler.state[0].in_block < per_block:
         return False
     _close_block(sampler, blocks)
-    if sampler.counters[IN_INTERVAL] < blocks:
+    if sampler.state[0].in_interval < blocks:
         return False
     return _close_interval(sampler, balance, blocks)
 
@@ -164,7 +151,7 @@ def _hidden(sampler: Sampler, k: int, i: int) -> float:
     torque, time = sampler.samples[:, 2, i], sampler.time
     gap, change = time[k + 1] - time[k], abs(torque[k + 1] - torque[k])
     for j in (k - 1, k + 1):
-        if j > 0 or sampler.counters[COUNT] >= HISTORY:  # else it is of before the start
+        if j > 0 or sampler.state[0].count >= HISTORY:  # else it is of before the start
             slope = abs(torque[j + 1] - torque[j]) / (time[j + 1] - time[j])
             change = max(change, gap * slope)
     return 0.5 * (gap - sampler.period) * change
@@ -174,7 +161,7 @@ def _hidden(sampler: Sampler, k: int, i: int) -> float:
 def _close_interval(sampler: Sampler, balance: Balance, blocks: int) -> bool:
     """Give the last blocks to the balance; true if one is complete."""
     n, capacity, length = sampler.scale.shape[0], sampler.blocks.shape[0], 0.0
-    first, passed = sampler.counters[BLOCKS] - blocks, 0.0
+    first, passed = sampler.state[0].blocks - blocks, 0.0
     for k in range(first, first + blocks):
         length += sampler.blocks[k % capacity, 3 * n + 1]
     for k in range(first, first + blocks):
@@ -185,34 +172,34 @@ def _close_interval(sampler: Sampler, balance: Balance, blocks: int) -> bool:
         add_block(
             balance, row[:n], row[n : 2 * n], row[2 * n : 3 * n], row[3 * n], own,
             row[3 * n + 2])  # fmt: skip
-    sampler.counters[IN_INTERVAL] = 0
+    sampler.state[0].in_interval = 0
     return close_interval(balance, length)
 
 
 @njit_in_place
 def _close_block(sampler: Sampler, blocks: int) -> None:
     """Keep the means of the block."""
-    n, count = sampler.scale.shape[0], sampler.counters[IN_BLOCK]
-    capacity, length = sampler.blocks.shape[0], sampler.clock[BLOCK_LENGTH]
-    at = sampler.counters[BLOCKS] % capacity
+    n, count = sampler.scale.shape[0], sampler.state[0].in_block
+    capacity, length = sampler.blocks.shape[0], sampler.state[0].block_length
+    at = sampler.state[0].blocks % capacity
     row = sampler.blocks[at]
     for i in range(n):
         for part in range(3):
             row[part * n + i] = sampler.sums[part, i] / length
             sampler.sums[part, i] = 0.0
         sampler.lost[at, i], sampler.hidden[i] = sampler.hidden[i], 0.0
-    row[3 * n] = sampler.clock[TIMES] / length
-    if sampler.counters[COUNT] > HISTORY + 2 * blocks * count:
-        _calm_rates(sampler, row, sampler.blocks[(sampler.counters[BLOCKS] - blocks) % capacity])
+    row[3 * n] = sampler.state[0].times / length
+    if sampler.state[0].count > HISTORY + 2 * blocks * count:
+        _calm_rates(sampler, row, sampler.blocks[(sampler.state[0].blocks - blocks) % capacity])
     row[3 * n + 1] = length
-    row[3 * n + 3] = sampler.clock[IN_DOUBT]
+    row[3 * n + 3] = sampler.state[0].in_doubt
     for i in range(n):  # what is louder than usual shows at once, that it has become usual later
         more = sampler.scale[i] * sampler.scale[i] - sampler.calm[i]
         sampler.calm[i] += more if more < 0.0 else more / capacity
-    sampler.clock[BLOCK_LENGTH] = sampler.clock[TIMES] = sampler.clock[IN_DOUBT] = 0.0
-    sampler.counters[BLOCKS] += 1
-    sampler.counters[IN_BLOCK] = 0
-    sampler.counters[IN_INTERVAL] += 1
+    sampler.state[0].block_length = sampler.state[0].times = sampler.state[0].in_doubt = 0.0
+    sampler.state[0].blocks += 1
+    sampler.state[0].in_block = 0
+    sampler.state[0].in_interval += 1
 
 
 @njit_in_place
@@ -229,14 +216,14 @@ def _calm_rates(sampler: Sampler, block: FloatArray, before: FloatArray) -> None
 
 def restart(sampler: Sampler, balance: Balance) -> None:
     """Begin again after a gap in the samples; corrections and what was learned stay."""
-    sampler.counters[:] = 0
-    sampler.counters[PENDING] = -1
+    for name in STATE.names or ():
+        if name not in LEARNED:
+            sampler.state[name] = -1 if name == 'pending' else 0
     sampler.still[:] = 0
     sampler.doubtful[:] = 0
     sampler.filled[:] = 0
     sampler.sums[:] = 0.0
     sampler.hidden[:] = 0.0
-    sampler.clock[LATE_FROM:] = 0.0
     drop_interval(balance)
 
 

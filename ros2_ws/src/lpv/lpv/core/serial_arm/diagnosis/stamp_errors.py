@@ -5,22 +5,11 @@ import numpy as np
 from lpv.core.serial_arm.diagnosis.information import ROBUST
 from lpv.core.serial_arm.diagnosis.priors import SLOW_RATE, WRONG_STAMPS
 from lpv.core.serial_arm.diagnosis.sampler import (
-    COUNT,
     DELAY,
     HISTORY,
-    JITTER,
     LATE,
-    LATE_FROM,
-    LATE_UNTIL,
-    LATEST,
     LEFT,
-    LINE_LIMIT,
-    RIGHT_FOR,
     SCALE_MEMORY,
-    SEEN,
-    STAMPS,
-    TIMES_OFF,
-    UNTIL_OFF,
     USUAL_JUMP,
     WRONG_RATE,
     Sampler,
@@ -42,7 +31,7 @@ def noise_of_gaps(sampler: Sampler, i: int, period: float) -> float:
     """
     k, time = HISTORY - 2, sampler.time
     before, after = time[k - 1] - time[k - 2], time[k + 1] - time[k]
-    before = before if sampler.counters[COUNT] > 3 else period  # else of before a gap, or none
+    before = before if sampler.state[0].count > 3 else period  # else of before a gap, or none
     a, b = 0.5 * period / before, 0.5 * period / after
     whole = (1.0 + a) * (1.0 + a) + (1.0 + b) * (1.0 + b) + a * a + b * b
     return float(max(whole / readings_in_jump(sampler, i), 1.0))
@@ -54,11 +43,11 @@ def note_wrong_stamp(sampler: Sampler) -> None:
 
     What is seen of one within the samples that are kept is the same one.
     """
-    clock = sampler.clock
-    if clock[STAMPS] == 0.0 or clock[RIGHT_FOR] > HISTORY:
-        clock[TIMES_OFF] += 1.0
-    clock[UNTIL_OFF] += clock[RIGHT_FOR]
-    clock[STAMPS], clock[RIGHT_FOR] = 1.0, 0.0
+    state = sampler.state[0]
+    if state.stamps == 0.0 or state.right_for > HISTORY:
+        state.times_off += 1.0
+    state.until_off += state.right_for
+    state.stamps, state.right_for = 1.0, 0.0
 
 
 @njit_in_place
@@ -68,23 +57,23 @@ def watch_stamps(sampler: Sampler) -> None:
     By the share that was wrong until the last one, which is `WRONG_STAMPS` before any samples, none
     of so many is wrong as seldom as noise passes for a step.
     """
-    clock = sampler.clock
-    clock[RIGHT_FOR] += 1.0
-    if clock[STAMPS] == 1.0:
-        share = (1.0 + clock[TIMES_OFF]) / (1.0 / WRONG_STAMPS + clock[UNTIL_OFF])
-        if clock[RIGHT_FOR] * share > 0.5 * sampler.lines[LINE_LIMIT, 0] ** 2:
-            clock[STAMPS] = clock[TIMES_OFF] = clock[UNTIL_OFF] = 0.0
+    state = sampler.state[0]
+    state.right_for += 1.0
+    if state.stamps == 1.0:
+        share = (1.0 + state.times_off) / (1.0 / WRONG_STAMPS + state.until_off)
+        if state.right_for * share > 0.5 * sampler.lines[0].limit ** 2:
+            state.stamps = state.times_off = state.until_off = 0.0
 
 
 @njit_in_place
 def doubt_stamps(sampler: Sampler, late: float) -> None:
     """Note that the last stamp but one is wrong; some that follow may be, too."""
-    clock, now = sampler.clock, sampler.time[HISTORY - 2]
+    state, now = sampler.state[0], sampler.time[HISTORY - 2]
     note_wrong_stamp(sampler)
-    if clock[LATE_UNTIL] < sampler.time[HISTORY - 1 - DELAY]:
-        clock[LATEST], clock[LATE_FROM] = 0.0, sampler.time[HISTORY - 3]
-    clock[LATEST] = max(clock[LATEST], late)
-    clock[LATE_UNTIL] = now + HISTORY * (now - sampler.time[HISTORY - 3])
+    if state.late_until < sampler.time[HISTORY - 1 - DELAY]:
+        state.latest, state.late_from = 0.0, sampler.time[HISTORY - 3]
+    state.latest = max(state.latest, late)
+    state.late_until = now + HISTORY * (now - sampler.time[HISTORY - 3])
 
 
 @njit_in_place
@@ -173,7 +162,7 @@ def may_be_stamp(sampler: Sampler, i: int, period: float) -> bool:
         return False
     # Where stamps have been wrong, two in a row may be.  Rates that carry jumps tell no motion.
     usual = abs(usual_rate(sampler, i))
-    wrong = 2.0 if sampler.clock[STAMPS] == 1.0 else 1.0 + 0.5 * sampler.derived[i]
+    wrong = 2.0 if sampler.state[0].stamps == 1.0 else 1.0 + 0.5 * sampler.derived[i]
     largest = LATE * wrong * period * usual + USUAL_JUMP * sampler.usual[i]
     if rate == 0.0 or abs(jumps[i]) > largest:
         return False
@@ -197,7 +186,7 @@ def learn_jitter(sampler: Sampler) -> None:
 
     Errors of other readings may be correlated with its own.
     """
-    k, clock, power, late = HISTORY - 2, sampler.clock, 0.0, 0.0
+    k, state, power, late = HISTORY - 2, sampler.state[0], 0.0, 0.0
     for i in range(sampler.scale.shape[0]):
         if sampler.noisy[i] == 1 or sampler.filled[i] > 0 or sampler.doubtful[k, i] > 0:
             continue
@@ -208,7 +197,7 @@ def learn_jitter(sampler: Sampler) -> None:
     if expected == 0.0:
         return
     weight = (expected / (1.0 + expected)) ** 2
-    seen = min(late * late, ROBUST**2 * (clock[JITTER] + 1.0 / power)) - 1.0 / power
-    clock[SEEN] = min(clock[SEEN] + weight, SCALE_MEMORY)
-    clock[JITTER] += weight * (seen - clock[JITTER]) / clock[SEEN]
-    clock[JITTER] = max(clock[JITTER], 0.0)
+    seen = min(late * late, ROBUST**2 * (state.jitter + 1.0 / power)) - 1.0 / power
+    state.seen = min(state.seen + weight, SCALE_MEMORY)
+    state.jitter += weight * (seen - state.jitter) / state.seen
+    state.jitter = max(state.jitter, 0.0)
