@@ -239,22 +239,17 @@ COMPILED = {'SLOW_RATE', 'AMPLITUDES', 'POSE_TIME'}
 
 @contextmanager
 def scaled_prior(name: str, factor: float) -> Iterator[None]:
-    """A prior times a factor, in all modules that have read it; ``SIZE['drift']`` is an entry."""
+    """A prior times a factor; ``SIZE['drift']`` is an entry."""
     base, key = (re.findall(r'\w+', name) + [''])[:2]
     if base in COMPILED or not hasattr(priors, base):
         raise SystemExit(f'--prior: {base} is compiled, or none')
-    old = getattr(priors, base)
-    modules = (vars(one) for path, one in sys.modules.items() if path.startswith('lpv.core.'))
-    holders, entry = [names for names in modules if names.get(base) is old], base
-    if key:
-        holders, entry = [old], key
-    before = holders[0][entry]
-    now = tuple(factor * one for one in before) if isinstance(before, tuple) else factor * before
-    for holder in holders:
-        holder[entry] = now
+    holder, entry = (getattr(priors, base), key) if key else (vars(priors), base)
+    before = holder[entry]
+    holder[entry] = (
+        tuple(factor * one for one in before) if isinstance(before, tuple) else factor * before
+    )
     yield
-    for holder in holders:
-        holder[entry] = before
+    holder[entry] = before
 
 
 def means(rows: Iterable[Row]) -> dict[str, float]:

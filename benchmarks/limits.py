@@ -13,10 +13,10 @@ from watched import Watched
 
 from lpv.core.serial_arm.chain import FloatArray, IntArray
 from lpv.core.serial_arm.description import SerialArm
+from lpv.core.serial_arm.diagnosis import priors
 from lpv.core.serial_arm.diagnosis.bank import Hypothesis
 from lpv.core.serial_arm.diagnosis.estimator import HorizonPlan
 from lpv.core.serial_arm.diagnosis.information import Posterior, Window, recent
-from lpv.core.serial_arm.diagnosis.priors import SIZE
 from lpv.core.serial_arm.diagnosis.settings import DiagnosisParameters
 from lpv.core.serial_arm.sensor_map import map_rows
 
@@ -109,7 +109,7 @@ class Changed:
         estimator = monitor.estimator
         measured = estimator.window.rows[self._at, :, 0] + self._change
         found, own = self._product(column, measured), self._product(column, column)
-        wide = SIZE['drift'] ** 2
+        wide = priors.SIZE['drift'] ** 2
         gain = 0.5 * (found**2 / (own + 1.0 / wide) - math.log1p(own * wide))
         estimator.window.rows[self._at, :, 0] = measured
         estimator.posterior.mean[:] = self._estimate(measured)

@@ -21,7 +21,7 @@ from lpv.core.serial_arm.chain import (
     workspace,
 )
 from lpv.core.serial_arm.description import SerialArm
-from lpv.core.serial_arm.diagnosis.priors import STEADY_FOR
+from lpv.core.serial_arm.diagnosis import priors
 from lpv.core.serial_arm.dynamics.friction import friction_torque
 from lpv.core.serial_arm.dynamics.momentum import mass_matrix, solve_positive
 from lpv.core.serial_arm.dynamics.newton_euler import inverse_dynamics
@@ -105,7 +105,11 @@ def carry(motion: CarriedMotion, i: int, predicted: float, missed: float, interv
 
     Of accelerations a share is ``predicted`` by torques, the rest has the variance ``missed``.
     """
-    kept, half, own = math.exp(-interval / STEADY_FOR), 0.5 * interval**2, motion.covariance[i]
+    kept, half, own = (
+        math.exp(-interval / priors.STEADY_FOR),
+        0.5 * interval**2,
+        motion.covariance[i],
+    )
     whole = predicted * motion.acceleration[i] + motion.missed[i]
     motion.missed[i] *= kept
     for j in range(3):  # F P

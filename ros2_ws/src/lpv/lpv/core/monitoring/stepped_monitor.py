@@ -20,12 +20,12 @@ from lpv.core.monitoring.sample_loop import (
 )
 from lpv.core.serial_arm.chain import BoolArray, FloatArray, IntArray
 from lpv.core.serial_arm.description import SerialArm
+from lpv.core.serial_arm.diagnosis import priors
 from lpv.core.serial_arm.diagnosis.alarms import Mode, SensorState
 from lpv.core.serial_arm.diagnosis.decision import reading_noise
 from lpv.core.serial_arm.diagnosis.estimator import UNMEASURED
 from lpv.core.serial_arm.diagnosis.information import slot
 from lpv.core.serial_arm.diagnosis.monitor import LONGEST_STEP, SerialMonitor
-from lpv.core.serial_arm.diagnosis.priors import ACCELERATIONS, USUAL_ACCELERATION, WIDEST_LEVEL
 from lpv.core.serial_arm.diagnosis.sampler import smallest_jump
 from lpv.core.support.jit import Entries
 from lpv.core.support.records import memory, new_record, plain
@@ -210,7 +210,7 @@ class SteppedMonitor(SerialMonitor):
         rate = sampler.drift + sampler.share / (1.0 - sampler.share) * sampler.samples[-1, 1]
         jump, variance = self.followed.take_jumps()
         self._removed_variance = np.where(is_error, self._removed_variance + variance, 0.0)
-        state[(state == _OK) & (sigma > WIDEST_LEVEL * scales)] = _NOT_DIAGNOSABLE
+        state[(state == _OK) & (sigma > priors.WIDEST_LEVEL * scales)] = _NOT_DIAGNOSABLE
         self.answering.work.applied[:] += jump
         known, flags = self.answering.known, self.flags
         known.fault[:], known.rate[:] = fault, rate
@@ -260,12 +260,12 @@ class SteppedMonitor(SerialMonitor):
         A loop that is closed on a noisy reading drives its joint as one that froze does.  What
         torques miss may be more than that, as of wrists with friction and hardly any inertia.
         """
-        usual = USUAL_ACCELERATION * self.scales
+        usual = priors.USUAL_ACCELERATION * self.scales
         if not len(self.estimator):
             return np.zeros(self.joints), usual**2
         if self.sampler.noisy.any():  # then it counts
             usual = np.array([self.readings.acceleration(i) for i in range(self.joints)])
-        driven = (ACCELERATIONS[-1] * usual) ** 2
+        driven = (priors.ACCELERATIONS[-1] * usual) ** 2
         null, window = self.estimator.posterior, self.estimator.window
         mass = window.momenta[slot(window, 0)]
         tiny = np.finfo(float).eps * np.abs(mass).max()  # of joints without inertia

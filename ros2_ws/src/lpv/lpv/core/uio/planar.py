@@ -18,7 +18,7 @@ from lpv.core.serial_arm.description import (
     SerialArm,
     rotation_from_rpy,
 )
-from lpv.core.serial_arm.diagnosis.priors import MODEL_ERROR
+from lpv.core.serial_arm.diagnosis import priors
 from lpv.core.serial_arm.two_links import ArmParameters, Link
 from lpv.core.support.errors import ConfigError
 from lpv.core.support.inequalities import SAME
@@ -60,7 +60,7 @@ def planar_model(arm: SerialArm) -> ArmParameters:
         position_noise=max(math.hypot(s.position_noise, s.quantization / 12**0.5) for s in sensors),
         velocity_noise=max(s.velocity_noise for s in sensors),
         rates=sensors[0].rates,
-        model_error=MODEL_ERROR if stated is None else stated,
+        model_error=priors.MODEL_ERROR if stated is None else stated,
         friction_error=arm.uncertainty.friction or UNSTATED_FRICTION,
         payload=arm.uncertainty.largest_payload,
         torque_tolerance=tuple(max(joint.torque_tolerance.torque) for joint in arm.joints),

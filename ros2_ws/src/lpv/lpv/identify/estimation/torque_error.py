@@ -8,8 +8,8 @@ from scipy.optimize import nnls
 
 from lpv.core.serial_arm.chain import compile_chain
 from lpv.core.serial_arm.description import SerialArm, TorqueTolerance
+from lpv.core.serial_arm.diagnosis import priors
 from lpv.core.serial_arm.diagnosis.parameter_error import model_error, typical_torque
-from lpv.core.serial_arm.diagnosis.priors import LASTING, USUAL_RATE
 from lpv.core.support.limits import SMALL
 from lpv.identify.errors import IdentificationError
 from lpv.identify.estimation.autocorrelation import autocovariance
@@ -83,7 +83,7 @@ def torque_error(
         used = [one[:, j].astype(float) for one in counts]
         parts = [r[:, j] * one for one, r in zip(used, residuals)]
         lengths[j] = _correlation_length(parts, used, float(noise[j]))
-        fast = np.append(speed[every[:, j], j], [0.0, USUAL_RATE**2])
+        fast = np.append(speed[every[:, j], j], [0.0, priors.USUAL_RATE**2])
         squares = np.maximum(size[every[:, j], j] - noise[j] ** 2, 0.0)
         target, often = np.append(squares, 2 * [usual[j] ** 2]), np.ones(len(fast))
         often[-2:] = lengths[j]
@@ -102,7 +102,7 @@ def torque_error(
 
 def usual_error(arm: SerialArm) -> np.ndarray:
     """Torque that models miss for as long as a pose lasts, shape (n,) [N m]."""
-    return LASTING * model_error(arm) * typical_torque(compile_chain(arm), arm.scales())
+    return priors.LASTING * model_error(arm) * typical_torque(compile_chain(arm), arm.scales())
 
 
 def _correlation_length(

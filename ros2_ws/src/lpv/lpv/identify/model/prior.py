@@ -6,8 +6,8 @@ import numpy as np
 
 from lpv.core.serial_arm.chain import compile_chain
 from lpv.core.serial_arm.description import UNSTATED_FRICTION, JointLimits, SerialArm
+from lpv.core.serial_arm.diagnosis import priors
 from lpv.core.serial_arm.diagnosis.parameter_error import typical_torque
-from lpv.core.serial_arm.diagnosis.priors import USUAL_RATE
 from lpv.core.serial_arm.dynamics.model import SerialModel
 from lpv.identify.model.friction import SLOPE, TERMS
 from lpv.identify.model.rigid_body import STANDARD, BaseParameters
@@ -84,11 +84,11 @@ def prior_of_all(arm: SerialArm, geared: bool, load: float) -> tuple[np.ndarray,
     usual = _ROTOR * largest / arm.scales() * (geared & (rotor == 0.0))
     # Friction as large as the torques that move the joint, or the share of its largest one that is
     # usual; as stated within its own size, or the share of that by which friction may change.
-    stated = coulomb + np.abs(viscous) * USUAL_RATE
+    stated = coulomb + np.abs(viscous) * priors.USUAL_RATE
     size = np.maximum(moving, _LOST * largest)
     size = np.where(stated > 0.0, np.maximum(stated, UNSTATED_FRICTION * size), size)
     # An offset is what friction takes more one way than the other.
-    friction = size / USUAL_RATE, size, np.full_like(size, load), UNSTATED_FRICTION * size
+    friction = size / priors.USUAL_RATE, size, np.full_like(size, load), UNSTATED_FRICTION * size
     return mean, np.concatenate(
         [_RELATIVE * np.array(sigma), np.maximum(seen + 0.01, usual), *friction]
     )

@@ -14,8 +14,8 @@ import numpy as np
 
 from lpv.core.serial_arm.chain import SLOPE, Chain, FloatArray, joint_count, workspace
 from lpv.core.serial_arm.description import JointFriction
+from lpv.core.serial_arm.diagnosis import priors
 from lpv.core.serial_arm.diagnosis.hat import Hat, close_hat, drop_hat, new_hat, put
-from lpv.core.serial_arm.diagnosis.priors import SLOW_RATE
 from lpv.core.serial_arm.dynamics.friction import drive_friction, smooth_sign
 from lpv.core.serial_arm.dynamics.momentum import carried_momentum, momentum_balance, set_velocities
 from lpv.core.serial_arm.sensor_map import map_vector
@@ -279,7 +279,7 @@ def rests(balance: Balance, joint: int) -> bool:
     """Whether a joint rests or reverses within the last hat."""
     low = min(balance.rates[0, 0, joint], balance.rates[1, 0, joint])
     high = max(balance.rates[0, 1, joint], balance.rates[1, 1, joint])
-    slow = SLOW_RATE * balance.scale[joint]
+    slow = priors.SLOW_RATE * balance.scale[joint]
     return bool(low < slow and high > -slow)
 
 

@@ -27,6 +27,7 @@ import numpy.typing as npt
 
 from lpv.core.serial_arm.chain import BoolArray, FloatArray
 from lpv.core.serial_arm.description import SerialArm
+from lpv.core.serial_arm.diagnosis import priors
 from lpv.core.serial_arm.diagnosis.balance import DRIFT, GAIN, OFFSET, RATE, SCALE, TORQUE
 from lpv.core.serial_arm.diagnosis.contact import (
     force_levers,
@@ -61,17 +62,6 @@ from lpv.core.serial_arm.diagnosis.linear_bank import (
     new_rows,
 )
 from lpv.core.serial_arm.diagnosis.onset import OF_ONE, onsets_beside_rates, sudden_drifts
-from lpv.core.serial_arm.diagnosis.priors import (
-    CONTACT,
-    FAULT_AT_START,
-    LOAD,
-    OCCURRENCE,
-    PUSH,
-    SIZE,
-    STAMPS,
-    STEADY_FOR,
-    USUAL_RATE,
-)
 from lpv.core.serial_arm.diagnosis.published_rates import rate_noise
 from lpv.core.serial_arm.diagnosis.sampler import Sampler, block_end, rounding_step, smallest_jump
 from lpv.core.serial_arm.diagnosis.stuck import (
@@ -93,8 +83,8 @@ STUCK_FOR = (0.2, 0.4, 1.0)
 """Times for which a joint may have moved while its reading rests [s]."""
 ENCODER_KINDS = ('drift', 'scale', 'slip', 'stuck')
 """Faults of a position sensor (with the rate that is derived from it)."""
-_KINDS = tuple(OCCURRENCE)
-_RATES = np.array([*OCCURRENCE.values()])
+_KINDS = tuple(priors.OCCURRENCE)
+_RATES = np.array([*priors.OCCURRENCE.values()])
 _OF_ENCODERS = np.isin(_KINDS, ENCODER_KINDS)
 QUIET = 0.25
 """Share of the evidence that an alarm needs, below which the bank has found nothing; from it on
@@ -200,7 +190,7 @@ class Bank:
 
     def __init__(self, arm: SerialArm, estimator: OffsetEstimator) -> None:
         self.estimator, plan, n = estimator, estimator.plan, estimator.joints
-        self._push = push = PUSH * estimator.typical
+        self._push = push = priors.PUSH * estimator.typical
         starts = np.array([*STARTS, *DRIFT_STARTS])
         lengths = sorted({max(1, round(one)) for one in (starts / plan.interval).tolist()})
         self._recent = round(STARTS[-1] / plan.interval)  # balances
@@ -256,7 +246,7 @@ class Bank:
         scale = self.estimator.balance.scale
         prior = np.array([
             self._push if kind == 'torque_offset'
-            else SIZE[kind] * (np.ones(n) if kind in _RELATIVE else scale)
+            else priors.SIZE[kind] * (np.ones(n) if kind in _RELATIVE else scale)
             for kind in names
         ])  # fmt: skip
         growing = 'drift', 'rate_bias', 'torque_gain', 'torque_offset'
@@ -299,7 +289,7 @@ class Bank:
         if self.kinematics.trusted.any():
             single += self._beside_rates(blocks, count)
         pushes = _rows(
-            count, kind=_KINDS.index(CONTACT), joint=-1, gain=evidence.contact[:count],
+            count, kind=_KINDS.index(priors.CONTACT), joint=-1, gain=evidence.contact[:count],
             begin=evidence.begin[:count], starts=self._starts[:count])  # fmt: skip
         rows = np.concatenate([in_columns(single), self._linear(count), pushes])
         # Rows that are near zero throughout, as of a constant reading, say nothing.
@@ -355,7 +345,7 @@ class Bank:
         begins = (window.times[at] - estimator.plan.interval)[ONSET:].tolist()
         evidence = (gain[: len(begins)] + self._free_onsets(longest)[ONSET + 1 :]).tolist()
         return [
-            Hypothesis(LOAD, -1, one, 0.0, 0.0, begin, change=moved)
+            Hypothesis(priors.LOAD, -1, one, 0.0, 0.0, begin, change=moved)
             for one, begin, moved in zip(evidence, begins, change)
         ]
 
@@ -380,16 +370,19 @@ class Bank:
         at = recent(estimator.window, last)
         mass, faulty = estimator.window.momenta[at], sorted(wrong)
         change = np.einsum('bij,bj->bi', mass, rates[:-1] - rates[1:])[:, :, None]
-        unknown = mass[:, :, faulty] * USUAL_RATE * estimator.balance.scale[faulty]
+        unknown = mass[:, :, faulty] * priors.USUAL_RATE * estimator.balance.scale[faulty]
         change = np.concatenate([change, unknown], axis=2)
         estimator.call(set_residuals, estimator.window, estimator.posterior, last)
         found = []
         for stop in stops:
-            for count in (ONSET, round(STEADY_FOR / plan.interval) + 1):  # dead, or within a time
+            for count in (
+                ONSET,
+                round(priors.STEADY_FOR / plan.interval) + 1,
+            ):  # dead, or within a time
                 stopped = np.arange(stop, min(stop + count, last))  # each with a size of its own
                 columns = np.zeros((stopped[-1] + 1, n, len(stopped), change.shape[2]))
                 columns[stopped, :, np.arange(len(stopped))] = change[stopped]
-                found.append(self._impact(CONTACT, columns))
+                found.append(self._impact(priors.CONTACT, columns))
         return found
 
     def _wrong_stamps(self, held: FloatArray) -> list[Hypothesis]:
@@ -416,7 +409,7 @@ class Bank:
         for place, k in enumerate(shared):
             columns[k, :, place] += momentum[k]
             columns[max(k - 1, 0), :, place] -= momentum[k] * (k > 0)
-        return [self._impact(STAMPS, columns)._replace(doubt=(columns**2).sum(2))]
+        return [self._impact(priors.STAMPS, columns)._replace(doubt=(columns**2).sum(2))]
 
     def _impact(self, kind: str, columns: FloatArray) -> Hypothesis:
         """What acts in some balances alone, by columns of unit sizes, shape (last, n, ...)."""
@@ -470,7 +463,7 @@ class Bank:
         """
         end, interval = float(self.estimator.times(1)[0]), self.estimator.plan.interval
         since = end - interval - CONTACT_TIME
-        pushes = found.where(found.of_kind(CONTACT) & (found.rows['begin'] > since))
+        pushes = found.where(found.of_kind(priors.CONTACT) & (found.rows['begin'] > since))
         if not pushes.rows['gain'].max(initial=0.0) > 0.0:
             return {}
         contact = pushes.one(int(pushes.rows['gain'].argmax()))
@@ -606,7 +599,10 @@ class Bank:
         for levers in self._levers(last):
             begun, prior = self._begun(levers, without)
             begins = [(courses, begun, prior) for courses in self._outside.horizon]
-            for courses, count, likely in ((changing, last, math.log(FAULT_AT_START)), *begins):
+            for courses, count, likely in (
+                (changing, last, math.log(priors.FAULT_AT_START)),
+                *begins,
+            ):
                 (one,) = smooth_contacts((courses,), levers[:count], window, without)
                 best = max(best, one + likely)
         return float(gain) - best
@@ -621,7 +617,7 @@ class Bank:
         columns = one.plan.interval * levers.swapaxes(1, 2)
         balances = np.ones(last)
         balances[-1] += last * (one.window.counters[NEXT] > last)
-        each = np.log(OCCURRENCE[CONTACT] / 3600.0 * one.plan.interval * balances)
+        each = np.log(priors.OCCURRENCE[priors.CONTACT] / 3600.0 * one.plan.interval * balances)
         likely = onset_gains(one.window, null, columns)[0] + each
         begun = int(likely.argmax())
         # Neighbouring balances that explain as much are as many chances.

@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from lpv.core.serial_arm.chain import Chain, FloatArray
+from lpv.core.serial_arm.diagnosis import priors
 from lpv.core.serial_arm.diagnosis.estimator import usual_size
 from lpv.core.serial_arm.diagnosis.information import (
     ROBUST,
@@ -27,13 +28,12 @@ from lpv.core.serial_arm.diagnosis.information import (
 )
 from lpv.core.serial_arm.diagnosis.onset import whitened
 from lpv.core.serial_arm.diagnosis.parameter_error import NEGLIGIBLE
-from lpv.core.serial_arm.diagnosis.priors import AMPLITUDES, HORIZON_TIME, SMOOTH_TIMES, STEADY_FOR
 from lpv.core.serial_arm.dynamics.kinematics import fill_jacobian, joint_frames
 from lpv.core.support.jit import njit, njit_in_place
 
-ROUGH_PENALTY = math.log(len(AMPLITUDES))
+ROUGH_PENALTY = math.log(len(priors.AMPLITUDES))
 """What it costs to choose the amplitude that explains most."""
-SMOOTH_PENALTY = math.log(len(AMPLITUDES) * len(SMOOTH_TIMES))
+SMOOTH_PENALTY = math.log(len(priors.AMPLITUDES) * len(priors.SMOOTH_TIMES))
 """The same for amplitude and course."""
 
 
@@ -63,13 +63,14 @@ def new_contact(longest: int, torque: FloatArray, interval: float, capacity: int
     largest plausible torques [N m].  Balances are ``interval`` apart [s]; the horizon holds
     ``capacity`` of them.
     """
-    smooth = tuple(_courses(longest, interval, one) for one in SMOOTH_TIMES)
-    changing = _courses(capacity, interval, HORIZON_TIME)
-    constant = _courses(capacity, interval, SMOOTH_TIMES[0])
-    shape = len(AMPLITUDES), len(torque), longest
+    smooth = tuple(_courses(longest, interval, one) for one in priors.SMOOTH_TIMES)
+    changing = _courses(capacity, interval, priors.HORIZON_TIME)
+    constant = _courses(capacity, interval, priors.SMOOTH_TIMES[0])
+    shape = len(priors.AMPLITUDES), len(torque), longest
     return Contact(
-        torque, np.zeros(len(torque)), math.exp(-interval / STEADY_FOR), np.zeros((*shape, 2)),
-        np.zeros(shape), smooth, (changing, constant), interval, *np.zeros((2, longest)),
+        torque, np.zeros(len(torque)), math.exp(-interval / priors.STEADY_FOR),
+        np.zeros((*shape, 2)), np.zeros(shape), smooth, (changing, constant), interval,
+        *np.zeros((2, longest)),
     )  # fmt: skip
 
 
@@ -152,7 +153,7 @@ def _set_filters(contact: Contact, i: int) -> None:
     """Write what `rough_contact` needs for a joint at the present noise."""
     variance, kept, longest = contact.variance[i], contact.decay**2, contact.best.shape[0]
     for c in range(contact.costs.shape[0]):
-        torque = AMPLITUDES[c] * contact.torque[i] * contact.interval
+        torque = priors.AMPLITUDES[c] * contact.torque[i] * contact.interval
         usual = power = torque * torque
         before = gain = share = step = 0.0
         cost = ROUGH_PENALTY
@@ -227,7 +228,7 @@ def smooth_contacts(
 
 def _smooth_contact(score: FloatArray, information: FloatArray) -> float:
     """Log ratio of one course, by score (G, M) and information (G, M, G, M) of its columns."""
-    (groups, modes), shares = score.shape, np.array(AMPLITUDES)
+    (groups, modes), shares = score.shape, np.array(priors.AMPLITUDES)
 
     def gain_of(amplitude: FloatArray) -> float:
         """Of what acts at all, amplitude by amplitude."""

@@ -15,10 +15,10 @@ from typing import NamedTuple
 import numpy as np
 
 from lpv.core.serial_arm.chain import SLOPE, FloatArray, IntArray
+from lpv.core.serial_arm.diagnosis import priors
 from lpv.core.serial_arm.diagnosis.balance import OFFSET, VISCOUS, Balance, add_residual, scratch_of
 from lpv.core.serial_arm.diagnosis.hat import close_hat, drop_hat, new_hat, put
 from lpv.core.serial_arm.diagnosis.information import Posterior, Window, factorise, recent, whiten
-from lpv.core.serial_arm.diagnosis.priors import SLOW_RATE
 from lpv.core.serial_arm.dynamics.friction import smooth_sign
 from lpv.core.serial_arm.sensor_map import map_vector
 from lpv.core.support.jit import njit_in_place
@@ -268,7 +268,9 @@ def compare_drifts(
                 goes_on = at >= 0 and math.isfinite(size)
             if goes_on:
                 trial, older = every[t], count - 1 - int(start[BACK])
-                step = math.copysign(0.1 * max(abs(size), SLOW_RATE * own.scale[joint]), size)
+                step = math.copysign(
+                    0.1 * max(abs(size), priors.SLOW_RATE * own.scale[joint]), size
+                )
                 trial[BEGIN], trial[BACK] = start[BEGIN], start[BACK]
                 for k in range(2):
                     onset = start[BEGIN], older

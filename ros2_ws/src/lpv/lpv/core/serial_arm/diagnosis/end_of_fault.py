@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lpv.core.serial_arm.chain import FloatArray
+from lpv.core.serial_arm.diagnosis import priors
 from lpv.core.serial_arm.diagnosis.balance import DRIFT, OFFSET
 from lpv.core.serial_arm.diagnosis.bank import Bank
 from lpv.core.serial_arm.diagnosis.estimator import OffsetEstimator
@@ -22,7 +23,6 @@ from lpv.core.serial_arm.diagnosis.fault_filter import begin_frozen
 from lpv.core.serial_arm.diagnosis.information import probability, recent
 from lpv.core.serial_arm.diagnosis.linear_bank import STARTS
 from lpv.core.serial_arm.diagnosis.onset import weigh_errors
-from lpv.core.serial_arm.diagnosis.priors import SIZE
 from lpv.core.serial_arm.diagnosis.readings import Readings
 from lpv.core.serial_arm.diagnosis.sampler import ROUNDING, block_end
 from lpv.core.serial_arm.diagnosis.stuck import LINEAR, Frozen, course_of_frozen
@@ -137,7 +137,7 @@ def end_of_fault(
     # Uniform over the horizon, and as the sizes of drifts are: their rates grow with the jump.
     edges = np.sqrt(ages[1:] * ages[:-1])
     prior = np.log(np.diff(np.concatenate([[0.0], edges, [longest]])) / longest)
-    prior += _normal(jump / scale / ages, SIZE['drift']) - np.log(ages) - _slip(jump / scale)
+    prior += _normal(jump / scale / ages, priors.SIZE['drift']) - np.log(ages) - _slip(jump / scale)
     for k, age in enumerate(ages):
         way = bank.kinematics.way(joint, round(age / interval))
         if way is not None:
@@ -173,13 +173,13 @@ def _frozen(estimator: OffsetEstimator, blocks: FloatArray, joint: int) -> Froze
     if len(changes) == 0 or len(blocks) - 1 - changes[-1] < estimator.plan.blocks:
         return None
     last = max(int(changes[-1]), 1)
-    sigma = SIZE['drift'] * float(estimator.balance.scale[joint])
+    sigma = priors.SIZE['drift'] * float(estimator.balance.scale[joint])
     return Frozen(block_end(blocks[last]), float(blocks[last - 1, n + joint]), sigma, False)
 
 
 def _slip(jump: float) -> float:
     """Logarithm of the density of jumps that begin a fault: usual ones, or anywhere in a turn."""
-    return float(np.logaddexp(_normal(jump, SIZE['slip']), -0.5 * np.log(2.0 * np.pi)))
+    return float(np.logaddexp(_normal(jump, priors.SIZE['slip']), -0.5 * np.log(2.0 * np.pi)))
 
 
 def _normal(value: float | FloatArray, sigma: float) -> FloatArray:

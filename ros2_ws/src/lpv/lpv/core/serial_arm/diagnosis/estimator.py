@@ -17,6 +17,7 @@ from lpv.core.serial_arm.chain import COULOMB as DRY
 from lpv.core.serial_arm.chain import VISCOUS as WET
 from lpv.core.serial_arm.chain import Chain, FloatArray, IntArray, compile_chain
 from lpv.core.serial_arm.description import SIGMAS, UNSTATED_FRICTION, SerialArm
+from lpv.core.serial_arm.diagnosis import priors
 from lpv.core.serial_arm.diagnosis.balance import (
     DELAY_PART,
     DRIFT,
@@ -56,7 +57,6 @@ from lpv.core.serial_arm.diagnosis.parameter_error import (
     typical_torque,
     usual_load,
 )
-from lpv.core.serial_arm.diagnosis.priors import FAST, LASTING, OFFSET_PRIOR, POSE_TIME, STATIC
 from lpv.core.support.jit import Entries, njit_in_place
 from lpv.core.support.limits import LARGEST, SMALL
 
@@ -296,7 +296,7 @@ def estimate_all(horizon: Horizon, interval: float, learn: bool) -> None:
     horizon.since[0] += 1
     taken = horizon.window.counters[NEXT]
     if (learn or not taken * interval > NOISE_KNOWN_AFTER) and taken % _FEW == 0:
-        _learn_all(horizon, POSE_TIME / interval)
+        _learn_all(horizon, priors.POSE_TIME / interval)
     solve_all(horizon)
 
 
@@ -674,7 +674,7 @@ class _About(NamedTuple):
 def _about(arm: SerialArm, plan: HorizonPlan) -> _About:
     """Kept: a campaign watches one arm again and again."""
     chain, scale = compile_chain(arm), arm.scales()
-    speed = np.minimum(arm.velocity_limit, FAST * scale)
+    speed = np.minimum(arm.velocity_limit, priors.FAST * scale)
     typical = typical_torque(chain, scale)
     missed = model_error(arm) * typical
     directions, drives, rows = parameter_directions(
@@ -688,7 +688,7 @@ def _about(arm: SerialArm, plan: HorizonPlan) -> _About:
     # Friction at rest is anything between both signs of Coulomb's: uniformly distributed.
     dry = plan.interval * chain.friction[:, DRY] / np.sqrt(3.0)
     rest = np.hypot(1.0, dry / noise)
-    systematic = _systematic_error(arm, LASTING * missed, plan)
+    systematic = _systematic_error(arm, priors.LASTING * missed, plan)
     return _About(chain, typical, directions, drives, loads, prior, noise, rest, dry, systematic)
 
 
@@ -720,12 +720,12 @@ def _prior_posterior(
 
 def _priors(arm: SerialArm, friction: FloatArray, missed: FloatArray) -> list[FloatArray]:
     """Standard deviations of offsets, torque offsets, viscous and Coulomb friction."""
-    share, absent = max(arm.uncertainty.friction, UNSTATED_FRICTION), STATIC * missed
+    share, absent = max(arm.uncertainty.friction, UNSTATED_FRICTION), priors.STATIC * missed
     scale = arm.scales()
     return [
-        OFFSET_PRIOR * scale,
+        priors.OFFSET_PRIOR * scale,
         absent,
-        share * np.abs(friction[:, WET]) + absent / (FAST * scale),
+        share * np.abs(friction[:, WET]) + absent / (priors.FAST * scale),
         share * friction[:, DRY] + absent,
     ]
 
@@ -741,7 +741,7 @@ def _expected_noise(
 
 def _systematic_error(arm: SerialArm, missed: FloatArray, plan: HorizonPlan) -> FloatArray:
     """What the model misses while a pose lasts: as measured, or on data held back, or expected."""
-    lasting = arm.uncertainty.torque_error_time or POSE_TIME
+    lasting = arm.uncertainty.torque_error_time or priors.POSE_TIME
     if arm.uncertainty.torque_error is not None:
         missed = np.array(arm.uncertainty.torque_error)
     elif arm.covariance is not None:

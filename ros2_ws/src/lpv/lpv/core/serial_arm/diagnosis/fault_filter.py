@@ -13,17 +13,10 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from lpv.core.serial_arm.chain import FloatArray
+from lpv.core.serial_arm.diagnosis import priors
 from lpv.core.serial_arm.diagnosis.balance import DRIFT, OFFSET, RATE, SCALE
 from lpv.core.serial_arm.diagnosis.estimator import STRAIGHT, OffsetEstimator
 from lpv.core.serial_arm.diagnosis.information import ROBUST, whiten
-from lpv.core.serial_arm.diagnosis.priors import (
-    OFFSET_PRIOR,
-    SCALE_STEADY,
-    STEADY,
-    STEADY_FOR,
-    USUAL_RATE,
-    WIDEST_LEVEL,
-)
 from lpv.core.serial_arm.diagnosis.readings import Readings
 from lpv.core.serial_arm.diagnosis.sampler import HISTORY, Sampler, block_end, put_back, take_out
 from lpv.core.serial_arm.diagnosis.stuck import LINEAR, Course
@@ -108,7 +101,7 @@ class FaultFilter:
     def _after(self, interval: float) -> tuple[FloatArray, FloatArray]:
         """State and its covariance after a time, or before it where that is negative [s]."""
         if self.is_scale:
-            grown = SCALE_STEADY**2 * abs(interval)
+            grown = priors.SCALE_STEADY**2 * abs(interval)
             return self.mean, self.covariance + np.diag([grown, 0.0, 0.0])
         move, covariance = _motion(interval), self.covariance.copy()
         move[2, 2], bend, change = self._growth(interval)
@@ -128,8 +121,8 @@ class FaultFilter:
         if self.stopped is not None:
             return 1.0, 0.0, 0.0
         if self.kind != 'stuck':
-            return 1.0, 0.0, (STEADY * self.scale) ** 2 * interval
-        kept, size = math.exp(-interval / STEADY_FOR), abs(float(self.mean[2]))
+            return 1.0, 0.0, (priors.STEADY * self.scale) ** 2 * interval
+        kept, size = math.exp(-interval / priors.STEADY_FOR), abs(float(self.mean[2]))
         if size > 2.0 * self.acceleration:  # a loop that is closed on the reading drives it away
             return 1.0, size**2 * (1.0 - kept**2), 0.0
         return kept, self.acceleration**2 * (1.0 - kept**2), 0.0
@@ -151,7 +144,7 @@ class FaultFilter:
     def go_on(self, acceleration: float) -> None:
         """Move again, with a usual acceleration [rad/s2], at a rate that is not known."""
         self.stopped, self.acceleration = None, acceleration
-        self.covariance[1, 1] = (USUAL_RATE * self.scale) ** 2
+        self.covariance[1, 1] = (priors.USUAL_RATE * self.scale) ** 2
         self.covariance[2, 2] = acceleration**2
 
     def columns(self, estimator: OffsetEstimator, at: int, end: float) -> FloatArray:
@@ -210,10 +203,10 @@ def begin_filter(
         one.covariance[0, 0] += (size * spread) ** 2
     elif kind == 'scale':
         one.mean[:2] = size, -size * origin
-        one.covariance = np.diag([sigma**2, (WIDEST_LEVEL * scale) ** 2, 0.0])
+        one.covariance = np.diag([sigma**2, (priors.WIDEST_LEVEL * scale) ** 2, 0.0])
     else:
         one.mean[0] = size
-        one.covariance = np.diag([sigma**2, (STEADY * scale) ** 2, 0.0])
+        one.covariance = np.diag([sigma**2, (priors.STEADY * scale) ** 2, 0.0])
     return one
 
 
@@ -277,7 +270,7 @@ def follow_all(
     spreads = [_spread(one, estimator) for one in filters]
     for k, one in enumerate(filters):
         # Errors that last count as often as noise that is as large, and new in each balance.
-        lasting = 2.0 * STEADY_FOR / estimator.plan.interval
+        lasting = 2.0 * priors.STEADY_FOR / estimator.plan.interval
         others = lasting * sum(spreads[:k] + spreads[k + 1 :], np.zeros_like(spreads[k]))
         # What stopped the arm is in its balances, and no effort tells it.
         if one.stopped is None or one.stopped < end - 2.0 * estimator.plan.interval:
@@ -312,7 +305,7 @@ def _follow(
     sampler, estimator, _ = readings
     window, null, interval = estimator.window, estimator.posterior, estimator.plan.interval
     sigma = one.fault(float(sampler.raw[one.joint]), float(sampler.time[-1]))[1]
-    if sigma > OFFSET_PRIOR * one.scale:  # nothing is known of it
+    if sigma > priors.OFFSET_PRIOR * one.scale:  # nothing is known of it
         _lose(one, sampler)
         return
     at = estimator.place(0)

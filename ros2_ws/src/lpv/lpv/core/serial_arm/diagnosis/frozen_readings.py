@@ -6,8 +6,8 @@ from collections.abc import Collection, Sequence
 import numpy as np
 
 from lpv.core.serial_arm.chain import FloatArray
+from lpv.core.serial_arm.diagnosis import priors
 from lpv.core.serial_arm.diagnosis.decision import STILL_TIME
-from lpv.core.serial_arm.diagnosis.priors import USUAL_RATE
 from lpv.core.serial_arm.diagnosis.readings import Readings
 from lpv.core.serial_arm.diagnosis.sampler import BEFORE_STOP, LIVELY
 from lpv.core.serial_arm.diagnosis.sensor_state import SensorRecord
@@ -38,7 +38,7 @@ def frozen_readings(
         least = max(float(smallest[i]), sampler.grain[i])
         alive, speed = bool(lively[i]), abs(rate) - rounding
         time = readings.rests_since(i)
-        usual = USUAL_RATE * float(readings.estimator.balance.scale[i])
+        usual = priors.USUAL_RATE * float(readings.estimator.balance.scale[i])
         if sensors[i].kind == 'stuck':  # while its alarm is up, any rest may be a freeze
             found[i] = Frozen(time, 0.0, usual, alive)
         if is_wrong and math.isinf(sampler.grain[i]):

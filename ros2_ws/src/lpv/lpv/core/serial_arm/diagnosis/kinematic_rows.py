@@ -6,10 +6,10 @@ import numpy as np
 
 from lpv.core.serial_arm.chain import BoolArray, FloatArray, IntArray
 from lpv.core.serial_arm.description import RATE_BIAS, SerialArm
+from lpv.core.serial_arm.diagnosis import priors
 from lpv.core.serial_arm.diagnosis.estimator import HorizonPlan
 from lpv.core.serial_arm.diagnosis.information import ROBUST, factorise, whiten
 from lpv.core.serial_arm.diagnosis.linear_bank import DRIFT_STARTS, Rows
-from lpv.core.serial_arm.diagnosis.priors import POSE_TIME, RATE_LAG, WRONG_STAMPS
 from lpv.core.serial_arm.diagnosis.sampler import DELAY, LATE, NOISE_MEMORY
 from lpv.core.support.jit import njit_in_place
 
@@ -230,7 +230,7 @@ def learn_rows(own: Kinematics, interval: float) -> None:
     # An error d of a stamp moves the rows of all sensors by their rates.  The difference of two
     # rows holds d of three blocks, once, twice and once.
     # Where the joints are slow it says little of them.
-    known = 6.0 * power * WRONG_STAMPS * own.latest
+    known = 6.0 * power * priors.WRONG_STAMPS * own.latest
     if known > 0.0:
         seen = min(((late / power) ** 2 - 1.0 / power) / 6.0, own.latest)
         share = (known / (1.0 + known)) ** 2 / NOISE_MEMORY
@@ -252,7 +252,7 @@ class KinematicRows:
             independent, independent.copy(),
             stated, np.full(n, np.inf), stated.copy(), rate**2 * arm.sample_time,
             np.maximum(RATE_BIAS * rate, 4.0 * least), np.ones(n), np.zeros(1),
-            np.array([1.0 / RATE_LAG**2]), np.array([WRONG_STAMPS * latest]),
+            np.array([1.0 / priors.RATE_LAG**2]), np.array([priors.WRONG_STAMPS * latest]),
             np.zeros(most + 1),
             latest, np.zeros((2, n, n)))  # fmt: skip
         self._independent, self.trusted = self.parts.independent, self.parts.trusted
@@ -340,7 +340,7 @@ class KinematicRows:
         What is taken out of the rate [rad/s] is not in the rows.  They go back for a pose at
         least, and until they tell a rate that is right again from one that is not.
         """
-        count = min(round(POSE_TIME / self._interval), self.held)
+        count = min(round(priors.POSE_TIME / self._interval), self.held)
         while count > 0:
             total, variance = self._told(joint, count)
             error = taken_out * count * self._interval

@@ -15,6 +15,7 @@ import numpy as np
 from lpv.core.serial_arm.certificate.jump_bound import jump_bound
 from lpv.core.serial_arm.chain import COULOMB, BoolArray, FloatArray
 from lpv.core.serial_arm.description import SerialArm
+from lpv.core.serial_arm.diagnosis import priors
 from lpv.core.serial_arm.diagnosis.alarms import (
     GUARANTEED,
     STATISTICAL,
@@ -52,16 +53,6 @@ from lpv.core.serial_arm.diagnosis.learning import Learned, learned_of
 from lpv.core.serial_arm.diagnosis.linear_bank import STARTS
 from lpv.core.serial_arm.diagnosis.lines import BEND
 from lpv.core.serial_arm.diagnosis.parameter_set import is_stated
-from lpv.core.serial_arm.diagnosis.priors import (
-    CONTACT,
-    FAULT_AT_START,
-    LOAD,
-    MODEL_ERROR,
-    OCCURRENCE,
-    STEADY_FOR,
-    USUAL_RATE,
-    WIDEST_LEVEL,
-)
 from lpv.core.serial_arm.diagnosis.published_rates import CONTRADICTIONS
 from lpv.core.serial_arm.diagnosis.rate_sources import RateSources
 from lpv.core.serial_arm.diagnosis.readings import Readings
@@ -89,7 +80,7 @@ from lpv.core.support.timestamps import NANOSECONDS
 
 LONGEST_STEP = 10.0
 """Sample times after which the next sample begins anew."""
-OUTSIDE = (CONTACT, 'torque_offset')
+OUTSIDE = (priors.CONTACT, 'torque_offset')
 """Causes that are torques from outside, as far as can be told."""
 _ALMOST_SURE = math.nextafter(1.0, 0.0)
 """Largest confidence that is not a guarantee."""
@@ -164,9 +155,9 @@ class SerialMonitor:
         tests = settings.threshold(self.arm.sample_time / self.joints)
         self.sampler.lines['limit'] = math.sqrt(2.0 * tests)
         state['threshold'] = settings.threshold(self.plan.interval)
-        state['widest'], state['smallest'] = WIDEST_LEVEL, settings.minimum_threshold
+        state['widest'], state['smallest'] = priors.WIDEST_LEVEL, settings.minimum_threshold
         state['sigmas'], state['later'] = settings.sigmas, settings.threshold(HORIZON)
-        state['at_start'] = -math.log(FAULT_AT_START)
+        state['at_start'] = -math.log(priors.FAULT_AT_START)
         self._tell()
 
     def certify(self, certified: Certified) -> None:
@@ -379,7 +370,7 @@ class SerialMonitor:
                 # Balances of less than that time were made of readings before it.
                 rested = self.readings.rested(i)
                 if rested < STUCK_FOR[0] or not self._rests(i):
-                    error[i] = max(error[i], USUAL_RATE * float(self.scales[i]) * rested)
+                    error[i] = max(error[i], priors.USUAL_RATE * float(self.scales[i]) * rested)
         return np.maximum(self._suspected, error) / self.settings.sigmas
 
     def learned(self) -> Learned:
@@ -487,7 +478,7 @@ class SerialMonitor:
         if self.sensors[i].kind != 'stuck':
             return 0.0
         dwell = max(self.settings.clear_dwell, self.plan.interval)
-        return -math.log(OCCURRENCE['slip'] * dwell / 3600.0)
+        return -math.log(priors.OCCURRENCE['slip'] * dwell / 3600.0)
 
     def _smallest_step(self, i: int) -> float:
         """Smallest jump of a reading that is a fault [rad]."""
@@ -622,18 +613,18 @@ class SerialMonitor:
     def _brakes(self, i: int, found: list[Hypothesis]) -> float:
         """What brakes explain that stopped the joint of reading i; 0 where no other one moved."""
         n, blocks, rested = self.joints, self.readings.all_blocks(), self.readings.rests_since(i)
-        first = rested - STEADY_FOR - 2.0 * self.plan.interval  # brakes take a time
+        first = rested - priors.STEADY_FOR - 2.0 * self.plan.interval  # brakes take a time
         between = (blocks[:, 3 * n] > first) & (blocks[:, 3 * n] < rested)
         others = [j for j in range(n) if j != i]
         if at_rest(blocks[between, n : 2 * n], self.scales, others).all():
             return 0.0
         last = rested + self.plan.interval
-        stops = (one for one in found if one.kind == CONTACT and first < one.begin < last)
+        stops = (one for one in found if one.kind == priors.CONTACT and first < one.begin < last)
         return max((one.gain for one in stops), default=0.0)
 
     def margin(self, kind: str) -> float:
         """By how much a fault must be more likely than torques from outside."""
-        ratio = OCCURRENCE[CONTACT] * self.joints / OCCURRENCE[kind]
+        ratio = priors.OCCURRENCE[priors.CONTACT] * self.joints / priors.OCCURRENCE[kind]
         return math.log(ratio / self.settings.probability_of_wrong_name)
 
     def _name(self, found: Compared, now: float) -> None:
@@ -689,7 +680,7 @@ class SerialMonitor:
             if self.bank.excludes_contact(one, self.margin(one.kind)):
                 self._blame(one, share, now)
             else:
-                self.suspects = tuple(dict.fromkeys((*self.suspects, CONTACT)))
+                self.suspects = tuple(dict.fromkeys((*self.suspects, priors.CONTACT)))
         elif one.kind == 'rate_bias':
             self._blame_rate(one, share)
 
@@ -723,7 +714,7 @@ class SerialMonitor:
     def _report_contact(self, now: float) -> None:
         """Something pushes the arm: no sensor is to blame, and nothing is learned from it."""
         if now > self._contact.until:
-            self._event(-1, CONTACT, now, AlarmEvent.RAISED, 0.0, 0.0)
+            self._event(-1, priors.CONTACT, now, AlarmEvent.RAISED, 0.0, 0.0)
         self._contact.until = now + CONTACT_TIME
         self.healthy = self.guarantee = None  # the load may be another one from now on
         acted = max(now - self._contact.begin, CONTACT_TIME)
@@ -735,7 +726,7 @@ class SerialMonitor:
         self.estimator.change_load(begin, change)
         self.bank.restart_statistic()
         self.healthy = self.guarantee = None  # the load may be any in the file from now on
-        self._event(-1, LOAD, begin, AlarmEvent.RAISED, 0.0, 0.0)
+        self._event(-1, priors.LOAD, begin, AlarmEvent.RAISED, 0.0, 0.0)
         self._suspect_nothing()
 
     @property
@@ -833,8 +824,8 @@ class SerialMonitor:
             if sensor.active or self.sampler.noisy[i]:
                 continue
             # From the start on, or since; as where they are found.
-            later = OCCURRENCE['slip'] * HORIZON / 3600.0
-            prior = FAULT_AT_START if self._known[i] < HORIZON else later
+            later = priors.OCCURRENCE['slip'] * HORIZON / 3600.0
+            prior = priors.FAULT_AT_START if self._known[i] < HORIZON else later
             odds = self.bank.offset_against_contact(i) + math.log(prior)
             # Torques from outside that were the cause remain it when their onset, which told them
             # from an offset, has left the horizon.
@@ -842,7 +833,7 @@ class SerialMonitor:
                 self._contact.leant, odds = now, -math.inf
             if odds < self._sure:
                 label = f'{self.arm.sensor_names[i]}:bias'
-                self.suspects = tuple(dict.fromkeys((*self.suspects, label, CONTACT)))
+                self.suspects = tuple(dict.fromkeys((*self.suspects, label, priors.CONTACT)))
                 continue
             sensor.level = True
             fault, deviation = (float(part[i]) for part in self.faults())
@@ -868,7 +859,7 @@ class SerialMonitor:
             return False
         efforts = np.abs(self.readings.all_blocks()[:, 2 * n : 3 * n]).mean(0)
         friction = one.balance.chain.friction[:, COULOMB]
-        return bool((efforts <= friction + MODEL_ERROR * one.typical).all())
+        return bool((efforts <= friction + priors.MODEL_ERROR * one.typical).all())
 
     @property
     def _sure(self) -> float:

@@ -18,6 +18,7 @@ import numpy as np
 from lpv.core.serial_arm.chain import COULOMB as DRY
 from lpv.core.serial_arm.chain import VISCOUS as WET
 from lpv.core.serial_arm.chain import FloatArray, IntArray
+from lpv.core.serial_arm.diagnosis import priors
 from lpv.core.serial_arm.diagnosis.balance import (
     COULOMB,
     COULOMB_PART,
@@ -36,7 +37,6 @@ from lpv.core.serial_arm.diagnosis.drift_trial import (
 )
 from lpv.core.serial_arm.diagnosis.estimator import ONSET, OffsetEstimator, set_residuals
 from lpv.core.serial_arm.diagnosis.information import Posterior, recent, whiten
-from lpv.core.serial_arm.diagnosis.priors import SIZE
 from lpv.core.serial_arm.diagnosis.sampler import block_end
 
 PLACES = (np.arange(25) + 0.5) / 25
@@ -82,7 +82,7 @@ def sudden_drifts(
     balances at hand and of the interval before, oldest first.  The gain is -inf while there are too
     few balances.
     """
-    prior = SIZE['drift'] * estimator.balance.scale[joints]
+    prior = priors.SIZE['drift'] * estimator.balance.scale[joints]
     likely = likely_onsets(estimator, joints, block_end(blocks[-1]), prior, last)
     sizes = np.stack([np.zeros(len(joints)), prior])
     return _tried(estimator, joints, DRIFT_OF_BOTH, likely, sizes, blocks)
@@ -165,7 +165,7 @@ def onsets_beside_rates(
     ``blocks`` are as in `sudden_drifts`.  With an onset comes the number of those that it stands
     for: one a balance, as likely anywhere in its interval.  Empty while there are too few balances.
     """
-    prior = SIZE[fault.kind] * estimator.balance.scale[joints]
+    prior = priors.SIZE[fault.kind] * estimator.balance.scale[joints]
     one = _scores(estimator, joints, block_end(blocks[-1]), len(ways[0]), fault)
     if not one.back.size:
         return []

@@ -11,13 +11,8 @@ import numpy as np
 from lpv.core.serial_arm.chain import COULOMB as DRY
 from lpv.core.serial_arm.chain import MASS, MX, SLOPE, VISCOUS, Chain, FloatArray, joint_count
 from lpv.core.serial_arm.description import SerialArm, inertia_matrix
+from lpv.core.serial_arm.diagnosis import priors
 from lpv.core.serial_arm.diagnosis.balance import DELAY_PART, READINGS_AT_EDGES
-from lpv.core.serial_arm.diagnosis.priors import (
-    MODEL_ERROR,
-    UNSTATED_LOAD,
-    USUAL_ACCELERATION,
-    USUAL_RATE,
-)
 from lpv.core.serial_arm.dynamics.model import SerialModel
 from lpv.core.serial_arm.dynamics.payload import PAYLOAD_PLACE, payload_parameters
 
@@ -62,14 +57,14 @@ def parameter_factor(arm: SerialArm, chain: Chain) -> FloatArray:
 
 def model_error(arm: SerialArm) -> float:
     """Relative standard deviation of masses and inertias; that of the file, if it states one."""
-    return arm.uncertainty.model_error or MODEL_ERROR
+    return arm.uncertainty.model_error or priors.MODEL_ERROR
 
 
 def usual_load(arm: SerialArm) -> float:
     """Standard deviation of the mass that the arm carries: as the file states, if it does [kg]."""
     if arm.uncertainty.payload is not None:
         return arm.uncertainty.payload
-    return UNSTATED_LOAD * sum(joint.link.mass for joint in arm.joints)
+    return priors.UNSTATED_LOAD * sum(joint.link.mass for joint in arm.joints)
 
 
 def typical_torque(chain: Chain, scale: FloatArray) -> FloatArray:
@@ -81,10 +76,10 @@ def typical_torque(chain: Chain, scale: FloatArray) -> FloatArray:
     model, poses = SerialModel(chain), np.pi * scale * _spread(len(scale))
     gravity = np.mean(model.gravity(poses) ** 2, axis=0)
     inertia = np.mean([np.diag(model.mass_matrix(q)) for q in poses], axis=0)
-    friction = np.abs(chain.friction[:, VISCOUS]) * USUAL_RATE * scale + np.abs(
+    friction = np.abs(chain.friction[:, VISCOUS]) * priors.USUAL_RATE * scale + np.abs(
         chain.friction[:, DRY]
     )
-    return np.sqrt(gravity + (USUAL_ACCELERATION * scale * inertia) ** 2 + friction**2)
+    return np.sqrt(gravity + (priors.USUAL_ACCELERATION * scale * inertia) ** 2 + friction**2)
 
 
 def momentum_noise(arm: SerialArm, chain: Chain, interval: float) -> FloatArray:

@@ -7,9 +7,9 @@ from typing import NamedTuple
 import numpy as np
 
 from lpv.core.serial_arm.chain import FloatArray, IntArray
+from lpv.core.serial_arm.diagnosis import priors
 from lpv.core.serial_arm.diagnosis.decision import reading_noise
 from lpv.core.serial_arm.diagnosis.estimator import OffsetEstimator
-from lpv.core.serial_arm.diagnosis.priors import ACCELERATIONS, SLOW_RATE
 from lpv.core.serial_arm.diagnosis.sampler import BEFORE_STOP, ROUNDING, Sampler, block_end
 from lpv.core.serial_arm.diagnosis.stuck import at_rest, usual_acceleration
 
@@ -88,7 +88,7 @@ class Readings(NamedTuple):
             return None
         # Seldom does a joint lose so much of its rate in two blocks, or seem to by noise.
         usual = 2.0 * length * np.array([self.acceleration(i) for i in sensors])
-        most = ACCELERATIONS[1] * np.maximum(usual, self.sampler.usual[sensors] / length)
+        most = priors.ACCELERATIONS[1] * np.maximum(usual, self.sampler.usual[sensors] / length)
         for k in blocks:
             before, after = speeds[k - 1], speeds[k + 1 :].max(0)
             fast = before > most
@@ -108,7 +108,7 @@ class Readings(NamedTuple):
         """Standard deviation of the rate that a reading had before it came to rest [rad/s]."""
         measured, grain = BEFORE_STOP * self.sample_time, float(self.sampler.grain[i])
         rounding = grain / measured if math.isfinite(grain) else 0.0
-        slow = SLOW_RATE * float(self.estimator.balance.scale[i])
+        slow = priors.SLOW_RATE * float(self.estimator.balance.scale[i])
         return math.hypot(rounding, 0.5 * measured * acceleration, slow)
 
     def rate_is_held(self, i: int) -> bool:

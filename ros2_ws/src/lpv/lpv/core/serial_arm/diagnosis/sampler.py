@@ -5,8 +5,8 @@ from typing import NamedTuple
 import numpy as np
 
 from lpv.core.serial_arm.chain import FloatArray, IntArray
+from lpv.core.serial_arm.diagnosis import priors
 from lpv.core.serial_arm.diagnosis.information import ROBUST, median
-from lpv.core.serial_arm.diagnosis.priors import COARSEST_ROUNDING
 from lpv.core.support.jit import njit_in_place
 from lpv.core.support.records import memory, new_record, new_records, record_type
 
@@ -326,7 +326,7 @@ def smallest_jump(sampler: Sampler, i: int) -> float:
 def rounding_step(sampler: Sampler, i: int) -> float:
     """What a reading may be rounded to, 0 if it moved by more than that alone [rad]."""
     step = sampler.step[i]
-    return float(step) if step <= COARSEST_ROUNDING * sampler.unit[i] else 0.0
+    return float(step) if step <= priors.COARSEST_ROUNDING * sampler.unit[i] else 0.0
 
 
 @njit_in_place

@@ -10,13 +10,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from lpv.core.serial_arm.diagnosis import priors
 from lpv.core.serial_arm.diagnosis.balance import OFFSET, SCALE
 from lpv.core.serial_arm.diagnosis.bank import Bank
 from lpv.core.serial_arm.diagnosis.estimator import OffsetEstimator
 from lpv.core.serial_arm.diagnosis.fault_filter import LARGEST_SCALE, FaultFilter
 from lpv.core.serial_arm.diagnosis.information import probability, recent
 from lpv.core.serial_arm.diagnosis.onset import weigh_errors
-from lpv.core.serial_arm.diagnosis.priors import POSE_TIME
 from lpv.core.serial_arm.diagnosis.readings import Readings
 
 KIND_ODDS = 2.0
@@ -59,7 +59,7 @@ class ScaleOfJump:
 
         What the model misses in a pose makes the wrong one likely for as long.
         """
-        return self.odds > sure or now - self.likely_since >= POSE_TIME
+        return self.odds > sure or now - self.likely_since >= priors.POSE_TIME
 
     def error(self, reading: float) -> float:
         """What a reading, as corrected by the jump, is off by if the hypothesis is true [rad]."""

@@ -2,8 +2,8 @@
 
 import numpy as np
 
+from lpv.core.serial_arm.diagnosis import priors
 from lpv.core.serial_arm.diagnosis.information import ROBUST
-from lpv.core.serial_arm.diagnosis.priors import SLOW_RATE, WRONG_STAMPS
 from lpv.core.serial_arm.diagnosis.sampler import (
     DELAY,
     HISTORY,
@@ -60,7 +60,7 @@ def watch_stamps(sampler: Sampler) -> None:
     state = sampler.state[0]
     state.right_for += 1.0
     if state.stamps == 1.0:
-        share = (1.0 + state.times_off) / (1.0 / WRONG_STAMPS + state.until_off)
+        share = (1.0 + state.times_off) / (1.0 / priors.WRONG_STAMPS + state.until_off)
         if state.right_for * share > 0.5 * sampler.lines[0].limit ** 2:
             state.stamps = state.times_off = state.until_off = 0.0
 
@@ -116,7 +116,7 @@ def wrong_stamp(sampler: Sampler, period: float) -> float:
     """
     jumps, n, late, best = sampler.jumps[HISTORY - 2], sampler.scale.shape[0], 0.0, 1
     for c in range(n):
-        rate, slow = steady_rate(sampler, c), SLOW_RATE * sampler.unit[c]
+        rate, slow = steady_rate(sampler, c), priors.SLOW_RATE * sampler.unit[c]
         if _tells_no_stamp(sampler, c) or abs(rate) < slow:
             continue
         if abs(jumps[c]) > largest_by_stamps(sampler, c, period) * abs(rate):
@@ -177,7 +177,7 @@ def may_be_stamp(sampler: Sampler, i: int, period: float) -> bool:
 @njit_in_place
 def expected_jitter(period: float) -> float:
     """Variance of stamps before any were seen [s2]."""
-    return WRONG_STAMPS * (LATE * period) ** 2
+    return priors.WRONG_STAMPS * (LATE * period) ** 2
 
 
 @njit_in_place

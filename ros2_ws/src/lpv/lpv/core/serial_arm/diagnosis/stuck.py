@@ -12,18 +12,11 @@ import numpy as np
 import numpy.typing as npt
 
 from lpv.core.serial_arm.chain import FloatArray, IntArray
+from lpv.core.serial_arm.diagnosis import priors
 from lpv.core.serial_arm.diagnosis.balance import OFFSET, RATE
 from lpv.core.serial_arm.diagnosis.drift_trial import free_of_drift
 from lpv.core.serial_arm.diagnosis.estimator import UNMEASURED, OffsetEstimator, set_residuals
 from lpv.core.serial_arm.diagnosis.information import ROBUST, Posterior, factorise, recent, whiten
-from lpv.core.serial_arm.diagnosis.priors import (
-    ACCELERATIONS,
-    LEAST_ACCELERATION,
-    OFFSET_PRIOR,
-    PUSH,
-    SLOW_RATE,
-    USUAL_ACCELERATION,
-)
 from lpv.core.serial_arm.diagnosis.sampler import block_end
 
 LINEAR = 1.0
@@ -56,13 +49,13 @@ class Course(NamedTuple):
 
 def at_rest(rates: FloatArray, scale: FloatArray, sensors: Sequence[int]) -> npt.NDArray[np.bool_]:
     """Whether all joints of some sensors rest, by mean rates of intervals, (..., n) [rad/s]."""
-    return np.asarray((np.abs(rates) < SLOW_RATE * scale)[..., sensors].all(-1))
+    return np.asarray((np.abs(rates) < priors.SLOW_RATE * scale)[..., sensors].all(-1))
 
 
 def usual_acceleration(estimator: OffsetEstimator, blocks: FloatArray, joint: int) -> float:
     """Root mean square of a reading's acceleration from interval to interval [rad/s2]."""
     joints, per_interval = estimator.joints, estimator.plan.blocks
-    least = LEAST_ACCELERATION * float(estimator.balance.scale[joint])
+    least = priors.LEAST_ACCELERATION * float(estimator.balance.scale[joint])
     whole = len(blocks) // per_interval * per_interval
     time, rate = blocks[len(blocks) - whole :, [3 * joints, joints + joint]].T
     time, rate = time.reshape(-1, per_interval).mean(1), rate.reshape(-1, per_interval).mean(1)
@@ -127,7 +120,7 @@ def course_of_frozen(
     if not np.isfinite(information).all():  # a fault that is followed ran away
         return None
     # A joint begins to move slowly while its reading rests.
-    spread = SLOW_RATE * scale if balances else frozen.sigma
+    spread = priors.SLOW_RATE * scale if balances else frozen.sigma
     pull = score[1:] - information[1:, 0]
     # Rates are those of the middles of intervals; the last one changes as it did since the one
     # before, or since the beginning.
@@ -136,16 +129,16 @@ def course_of_frozen(
     sums = np.stack([plan.interval * np.ones(count), ends, bend / plan.interval]) @ np.tri(count)
     tried = [
         _likely(information[1:, 1:], pull, _walk(count, size * step, spread), sums)
-        for size in ACCELERATIONS
+        for size in priors.ACCELERATIONS
     ]
     # The larger an acceleration, the rarer.
-    evidence = np.array([one[0] for one in tried]) - np.log(ACCELERATIONS)
+    evidence = np.array([one[0] for one in tried]) - np.log(priors.ACCELERATIONS)
     _, change, covariance = tried[int(np.argmax(evidence))]
     gain = score[0] - 0.5 * information[0, 0]
-    gain += np.logaddexp.reduce(evidence) - np.log(sum(1.0 / size for size in ACCELERATIONS))
+    gain += np.logaddexp.reduce(evidence) - np.log(sum(1.0 / size for size in priors.ACCELERATIONS))
     rivals = [resting[:, moved]]
     if not frozen.alive:
-        rivals.append(np.hypot(resting, plan.interval * PUSH * estimator.typical)[:, moved])
+        rivals.append(np.hypot(resting, plan.interval * priors.PUSH * estimator.typical)[:, moved])
     least = min(_at_rest(before[:, moved], one, weights[:, moved], null, moved) for one in rivals)
     gain += min(least + 0.5 * float((slope**2).sum()), 0.0)
     if not abs(change[0]) < LINEAR * scale:
@@ -201,9 +194,11 @@ def free_course(
     if not np.isfinite(information).all() or not np.isfinite(pull).all():
         return -math.inf, 0.0, 0.0  # a fault that is followed ran away
     way, found = np.append(1.0, step * np.arange(last, 0.0, -1.0))[None], []
-    for larger in ACCELERATIONS if moves else (0.0,):
-        walk = _walk(last, larger * USUAL_ACCELERATION * step, SLOW_RATE if moves else 0.0)
-        sizes = scale * np.append(OFFSET_PRIOR, walk)
+    for larger in priors.ACCELERATIONS if moves else (0.0,):
+        walk = _walk(
+            last, larger * priors.USUAL_ACCELERATION * step, priors.SLOW_RATE if moves else 0.0
+        )
+        sizes = scale * np.append(priors.OFFSET_PRIOR, walk)
         gain, fault, variance = _likely(information, pull, sizes, way)
         found.append((gain - math.log(max(larger, 1.0)), float(fault[0]), variance[0, 0] ** 0.5))
     return max(found)
