@@ -216,11 +216,8 @@ class Bank:
         Columns of drifts and scale errors are zero where these begin, which `gather` adds: by what
         a reading jumped is taken out already.
         """
-        n, derived, everywhere = (
-            self.estimator.joints,
-            self._derived,
-            np.ones(self._push.shape, bool),
-        )
+        n, derived = self.estimator.joints, self._derived
+        everywhere = np.ones(n, bool)
         every: list[tuple[str, dict[int, float], np.ndarray]] = [
             ('drift', {DRIFT: 1.0}, everywhere),
             ('scale', {SCALE: 1.0}, everywhere),

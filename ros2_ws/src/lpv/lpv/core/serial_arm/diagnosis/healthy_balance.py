@@ -62,17 +62,22 @@ class HealthyBalance(NamedTuple):
     heavier: FloatArray  # (n,) its diagonal over that of the nominal arm
     turned: FloatArray  # (n, n) change of its momenta by that of a reading
     to_joints: FloatArray  # (n, n) S^-1 of y = S q + f
+    rate_noise: FloatArray  # (n,) standard deviation of mean joint rates of a block [rad/s]
+    reading: FloatArray  # (n,) of mean readings of an interval [rad]
     motion: FloatArray  # (2, n) scratch: joint positions and rates
 
 
-def new_healthy_balance(chain: Chain, sizes: ParameterSet, to_joints: FloatArray) -> HealthyBalance:
+def new_healthy_balance(
+    chain: Chain, sizes: ParameterSet, to_joints: FloatArray, rate_noise: FloatArray,
+    reading: FloatArray,
+) -> HealthyBalance:  # fmt: skip
     """Balances without samples."""
     n = len(chain.translation)
     return HealthyBalance(
         chain, heaviest(chain, sizes), sizes, new_hat(n, 10 * n + _PARTS), np.full((3, n), np.inf),
         np.zeros((2, n)), np.zeros((n, 10 * n)), np.zeros((n, 10 * n)), workspace(chain),
         np.zeros((n, n)), np.zeros((n, n)), np.ones(n), np.zeros((n, n)), to_joints,
-        np.zeros((2, n)))  # fmt: skip
+        rate_noise, reading, np.zeros((2, n)))  # fmt: skip
 
 
 def generator_count(sizes: ParameterSet) -> int:
@@ -81,31 +86,62 @@ def generator_count(sizes: ParameterSet) -> int:
 
 
 @njit
-def add_healthy_blocks(
-    balance: HealthyBalance, blocks: FloatArray, lost: FloatArray, rate_noise: FloatArray
-) -> float:
-    """Add the blocks of the current interval, and return its length [s].
+def add_healthy_interval(
+    balance: HealthyBalance, blocks: FloatArray, lost: FloatArray, rows: FloatArray,
+    effects: FloatArray, doubts: FloatArray,
+) -> None:  # fmt: skip
+    """Add the blocks of an interval; with one before it, write what its balance may leave.
 
-    ``blocks`` and ``lost`` are as those of `Sampler`, ``rate_noise``, shape (n,), has standard
-    deviations of mean joint rates of a block [rad/s].
+    ``blocks`` and ``lost`` are as those of `Sampler`, ``rows`` those of the same `Balance`.
+
+    Written are ``effects``, shape (n, 1 + k): the residual, then the effect of each generator, see
+    `generator_count`; and ``doubts``, shape (3, n): slack [N m s], the variance of noise except
+    that of the mean rates [N2 m2 s2], and the slack of how late torques bend.
     """
-    length, own = 0.0, 3 * rate_noise.shape[0] + 1
+    n, row, span = effects.shape[0], balance.hat.rows, 10 * effects.shape[0]
+    length, reading = 0.0, balance.reading
     for k in range(blocks.shape[0]):
-        length += blocks[k, own]
+        length += blocks[k, 3 * n + 1]
     for k in range(blocks.shape[0]):
-        _add_block(balance, blocks[k], lost[k], blocks[k, own] / length, rate_noise)
-    return length
+        _add_block(balance, blocks[k], lost[k], blocks[k, 3 * n + 1] / length)
+    _weigh_heaviest(balance)
+    if close_hat(balance.hat, length):
+        sizes, count = balance.sizes, balance.sizes.inertial.shape[0]
+        effects[:, 1 + count :] = 0.0
+        for i in range(n):
+            effects[i, 0] = row[i, span + RESIDUAL]
+            for k in range(count):
+                total, first = 0.0, 10 * sizes.body[k]
+                for c in range(10):
+                    total += row[i, first + c] * sizes.inertial[k, c]
+                effects[i, 1 + k] = -total
+            at = 1 + count + i
+            for j in range(max(i - 1, 0), min(i + 2, n)):  # a rotor with its coupling
+                effects[i, 1 + count + max(i, j)] -= sizes.rotor[i, j] * row[j, span + SPEED]
+            effects[i, at + n] = sizes.viscous[i] * row[i, span + VISCOSITY]
+            effects[i, at + 2 * n] = sizes.coulomb[i] * row[i, span + DRY]
+            effects[i, at + 3 * n] = sizes.load[i] * row[i, span + LOADED]
+            effects[i, at + 4 * n] = sizes.offset[i] * row[i, span + ONE]
+            change = row[i, span + TORQUE]
+            effects[i, at + 5 * n] = sizes.delay[0, i] * change
+            balance.bent[1, i] = max(abs(change - balance.bent[0, i]), _HELD * balance.bent[1, i])
+            balance.bent[0, i] = change
+            doubts[0, i], doubts[1, i] = -row[i, span + SLACK], -row[i, span + VARIANCE]
+            doubts[2, i] = sizes.delay[1, i] / length * balance.bent[1, i]
+            for j in range(n):
+                bias = sizes.rate_bias[j] * rows[i, 1 + RATE * n + j]
+                effects[i, 1 + count + 6 * n + j] = -bias
+                effect = balance.heavier[i] * abs(rows[i, 1 + _READING * n + j])
+                doubts[0, i] += sizes.rounding[j] * effect
+                # Noise of one of the two mean momenta is not that of the other.
+                both = effect * effect + 2.0 * balance.turned[i, j] * balance.turned[i, j]
+                doubts[1, i] += reading[j] * reading[j] * both
 
 
 @njit
-def _add_block(
-    balance: HealthyBalance,
-    block: FloatArray,
-    lost: FloatArray,
-    part: float,
-    rate_noise: FloatArray,
-) -> None:
+def _add_block(balance: HealthyBalance, block: FloatArray, lost: FloatArray, part: float) -> None:
     """Add the means of some samples, which are that part of the current interval."""
+    rate_noise = balance.rate_noise
     n = rate_noise.shape[0]
     chain, q, v, hat = balance.chain, balance.motion[0], balance.motion[1], balance.hat
     map_vector(balance.to_joints, block[:n], q)
@@ -222,59 +258,6 @@ def _within(rate: float, half: float, slope: float) -> float:
     """What the mean of the smoothed sign over rates v +- half misses, at most."""
     ends = smooth_sign(rate + half, slope) + smooth_sign(rate - half, slope)
     return abs(0.5 * ends - smooth_sign(rate, slope))
-
-
-@njit
-def close_healthy_interval(
-    balance: HealthyBalance,
-    length: float,
-    rows: FloatArray,
-    reading: FloatArray,
-    effects: FloatArray,
-    doubts: FloatArray,
-) -> None:
-    """End the current interval; with one before it, write what its balance may leave.
-
-    ``length`` is that of the interval [s].  ``rows`` are those of the same `Balance`; ``reading``,
-    shape (n,), has standard deviations of the mean readings [rad].
-
-    Written are ``effects``, shape (n, 1 + k): the residual, then the effect of each generator, see
-    `generator_count`; and ``doubts``, shape (3, n): slack [N m s], the variance of noise except
-    that of the mean rates [N2 m2 s2], and the slack of how late torques bend.
-    """
-    n, row, span = effects.shape[0], balance.hat.rows, 10 * effects.shape[0]
-    _weigh_heaviest(balance)
-    if close_hat(balance.hat, length):
-        sizes, count = balance.sizes, balance.sizes.inertial.shape[0]
-        effects[:, 1 + count :] = 0.0
-        for i in range(n):
-            effects[i, 0] = row[i, span + RESIDUAL]
-            for k in range(count):
-                total, first = 0.0, 10 * sizes.body[k]
-                for c in range(10):
-                    total += row[i, first + c] * sizes.inertial[k, c]
-                effects[i, 1 + k] = -total
-            at = 1 + count + i
-            for j in range(max(i - 1, 0), min(i + 2, n)):  # a rotor with its coupling
-                effects[i, 1 + count + max(i, j)] -= sizes.rotor[i, j] * row[j, span + SPEED]
-            effects[i, at + n] = sizes.viscous[i] * row[i, span + VISCOSITY]
-            effects[i, at + 2 * n] = sizes.coulomb[i] * row[i, span + DRY]
-            effects[i, at + 3 * n] = sizes.load[i] * row[i, span + LOADED]
-            effects[i, at + 4 * n] = sizes.offset[i] * row[i, span + ONE]
-            change = row[i, span + TORQUE]
-            effects[i, at + 5 * n] = sizes.delay[0, i] * change
-            balance.bent[1, i] = max(abs(change - balance.bent[0, i]), _HELD * balance.bent[1, i])
-            balance.bent[0, i] = change
-            doubts[0, i], doubts[1, i] = -row[i, span + SLACK], -row[i, span + VARIANCE]
-            doubts[2, i] = sizes.delay[1, i] / length * balance.bent[1, i]
-            for j in range(n):
-                bias = sizes.rate_bias[j] * rows[i, 1 + RATE * n + j]
-                effects[i, 1 + count + 6 * n + j] = -bias
-                effect = balance.heavier[i] * abs(rows[i, 1 + _READING * n + j])
-                doubts[0, i] += sizes.rounding[j] * effect
-                # Noise of one of the two mean momenta is not that of the other.
-                both = effect * effect + 2.0 * balance.turned[i, j] * balance.turned[i, j]
-                doubts[1, i] += reading[j] * reading[j] * both
 
 
 @njit

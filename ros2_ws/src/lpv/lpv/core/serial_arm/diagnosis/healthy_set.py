@@ -26,8 +26,7 @@ from lpv.core.serial_arm.diagnosis.estimator import PAST_WEIGHT, Horizon, Offset
 from lpv.core.serial_arm.diagnosis.hat import drop_hat
 from lpv.core.serial_arm.diagnosis.healthy_balance import (
     HealthyBalance,
-    add_healthy_blocks,
-    close_healthy_interval,
+    add_healthy_interval,
     generator_count,
     new_healthy_balance,
 )
@@ -86,7 +85,7 @@ class HealthyRing(NamedTuple):
 
     balance: HealthyBalance
     effects: FloatArray  # (capacity, n, 1 + k) residual, then the effect of each generator
-    doubts: FloatArray  # (capacity, 3, n) as of `close_healthy_interval`
+    doubts: FloatArray  # (capacity, 3, n) as of `add_healthy_interval`
     momenta: FloatArray  # (capacity, n, n) those of the heaviest arm, by unit rates of readings
     unseen: int  # balances whose torques late efforts may still be about to show
     # (capacity, n, m) mean that noise of rates gives to the unknowns' columns times the residual
@@ -94,9 +93,7 @@ class HealthyRing(NamedTuple):
     # (m, 2 + k) of what is remembered: A^T W E, then the weighted sum of these means
     right: FloatArray
     past: FloatArray  # (2,) see `SLACK`
-    block_noise: FloatArray  # (n,) standard deviation of mean joint rates of a block [rad/s]
-    mean_reading: FloatArray  # (n,) of mean readings of an interval [rad]
-    mean_noise: FloatArray  # (n,) of their mean rates [rad/s]
+    mean_noise: FloatArray  # (n,) standard deviation of mean rates of an interval [rad/s]
     shared: float  # variance of a balance's noise over that of one mean
 
 
@@ -141,10 +138,7 @@ def _add(
     ring: HealthyRing, rows: FloatArray, blocks: FloatArray, lost: FloatArray, at: int
 ) -> None:
     """Take one interval; what its balance may leave goes into a place of the rings."""
-    length = add_healthy_blocks(ring.balance, blocks, lost, ring.block_noise)
-    close_healthy_interval(
-        ring.balance, length, rows, ring.mean_reading, ring.effects[at], ring.doubts[at]
-    )
+    add_healthy_interval(ring.balance, blocks, lost, rows, ring.effects[at], ring.doubts[at])
     # Bends that late efforts show now may have been those of torques of the balances before.
     for back in range(1, ring.unseen + 1):
         before = (at - back) % ring.doubts.shape[0]
@@ -194,7 +188,6 @@ class HealthySet:
         self._estimator = estimator
         chain, plan, n = compile_chain(arm), estimator.plan, estimator.joints
         sizes = parameter_set(arm, chain)
-        self._balance = new_healthy_balance(chain, sizes, arm.sensors_to_joints())
         self._largest_payload = arm.uncertainty.largest_payload
         self._at_tip = payload_generator(sizes, self._largest_payload)
         self._load = np.zeros(len(estimator.prior))  # the payload's mass by the unknowns
@@ -206,14 +199,15 @@ class HealthySet:
         noise, rate = sensors.position_noise, sensors.velocity_noise / np.sqrt(plan.per_block)
         reading = np.hypot(noise, sizes.rounding)  # at the edge of two steps
         difference = np.sqrt(2.0) * reading / (plan.per_block * arm.sample_time)
-        by_sensor = np.where(self._derived, difference, rate)
+        by_sensor, to_joints = np.where(self._derived, difference, rate), arm.sensors_to_joints()
+        self._balance = new_healthy_balance(
+            chain, sizes, to_joints, np.sqrt(map_rows(to_joints**2, by_sensor**2)),
+            noise / np.sqrt(plan.per_interval))  # fmt: skip
         self.ring = HealthyRing(
             self._balance, np.zeros((plan.capacity, n, columns)), np.zeros((plan.capacity, 3, n)),
             np.zeros((plan.capacity, n, n)),
             int(np.ceil((sizes.delay[0].max() - 0.5 * arm.sample_time) / plan.interval - SAME)),
             np.zeros((plan.capacity, n, m)), np.zeros((m, columns + 1)), np.zeros(2),
-            np.sqrt(map_rows(self._balance.to_joints**2, by_sensor**2)),
-            noise / np.sqrt(plan.per_interval),
             np.where(self._derived, reading / plan.interval, rate / np.sqrt(plan.blocks)),
             READINGS_AT_EDGES if self._derived.any() else 2.0)  # fmt: skip
 

@@ -67,7 +67,6 @@ from lpv.core.serial_arm.diagnosis.sampler import (
     NOISY,
     SPIKE,
     STEP,
-    Sampler,
     new_sampler,
 )
 from lpv.core.serial_arm.diagnosis.sampling import restart
@@ -171,10 +170,6 @@ class SerialMonitor:
 
     def reset(self) -> None:
         """Forget samples, estimates and faults."""
-        self._start()
-
-    def _start(self) -> None:
-        """Begin as if no sample had been seen."""
         n, arm, settings = self.joints, self.arm, self.settings
         self._jump_bound = jump_bound(arm)
         self.plan = HorizonPlan.of(arm.sample_time)
@@ -190,16 +185,9 @@ class SerialMonitor:
         # Before any e was seen, jumps count from twice the smallest one.
         usual = np.maximum(2.0 * noise, 2.0 * smallest / JUMP_SCALE)
         self._rate_sources = RateSources(arm)
-        probe = self._rate_sources.probe
-        self.sampler: Sampler = new_sampler(
-            self.estimator.balance.derived,
-            usual,
-            smallest,
-            capacity,
-            probe,
-            self.scales,
-            arm.sample_time,
-        )
+        self.sampler = new_sampler(
+            self.estimator.balance.derived, usual, smallest, capacity, self._rate_sources.probe,
+            self.scales, arm.sample_time)  # fmt: skip
         self.readings = Readings(self.sampler, self.estimator, arm.sample_time)
         self.sensors = [SensorRecord() for _ in range(n)]
         self.unread = np.zeros(n, bool)
@@ -887,7 +875,9 @@ class SerialMonitor:
                 over = self.sampler.noisy[i] == 0
             elif sensor.kind == 'stuck':
                 moves = self.readings.rested(i) < STILL_TIME
-                if moves and i in self.followed.filters and self._moved_on(i):
+                # For long enough for a jump to have been seen.
+                moved_on = sensor.over_since is not None and self.sampler.state['pending'][0] < 0
+                if moves and moved_on and i in self.followed.filters:
                     self._lose_count(i)
                 over = moves or (i not in self.followed.filters and self._rests(i))
             else:
@@ -935,7 +925,7 @@ class SerialMonitor:
         self.arm = replace(self.arm, joints=tuple(changed))
         self.misnamed += tuple(self.arm.joint_names[i] for i in joints)
         self._certify_nothing()
-        self._start()
+        SerialMonitor.reset(self)  # what answers samples goes on
         self._state['now'] = now
 
     def _rests(self, i: int) -> bool:
@@ -949,10 +939,6 @@ class SerialMonitor:
         largest = max(sensor.peak, self.settings.minimum_threshold * float(self.scales[i]))
         bound = self.settings.sigmas * self.estimator.level.sigma[i]
         return sensor.kind in {'noise', 'stuck'} or bool(bound < largest)
-
-    def _moved_on(self, i: int) -> bool:
-        """Whether a reading has moved for long enough for a jump to have been seen."""
-        return self.sensors[i].over_since is not None and self.sampler.state['pending'][0] < 0
 
     def _lose_count(self, i: int) -> None:
         """A frozen reading moves on without a jump: its joint may be where it was lost.
