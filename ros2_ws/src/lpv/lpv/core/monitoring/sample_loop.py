@@ -64,7 +64,6 @@ class Answering(NamedTuple):
 @njit_in_one_place
 def advance(
     parts: Parts,
-    plan: tuple[int, int],
     one: Answering,
     rows: AnswerRows,
     first: int,
@@ -77,9 +76,8 @@ def advance(
     What is decided at a sample counts from this sample on; the designed observer has used all
     samples before it then.
 
-    ``plan`` is the number of samples in a block and of blocks in an interval; ``first`` is the row
-    of the first sample.  Samples, shape (N, 3, n), are readings, rates, torques, with their stamps
-    [ns] and their times since the first sample of all [s].
+    ``first`` is the row of the first sample.  Samples, shape (N, 3, n), are readings, rates,
+    torques, with their stamps [ns] and their times since the first sample of all [s].
     """
     progress, state = one.progress[0], parts.state[0]
     while True:
@@ -87,7 +85,7 @@ def advance(
             taken, complete, jumped = progress.taken, False, False
             if taken < times.shape[0]:
                 taken, complete = take_samples(
-                    parts.sampler, parts.horizon.balance, times, samples, taken, plan
+                    parts.sampler, parts.horizon.balance, times, samples, taken
                 )
                 for found in parts.sampler.found:
                     jumped = jumped or found != NONE

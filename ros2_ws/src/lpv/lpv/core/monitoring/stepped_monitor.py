@@ -158,10 +158,10 @@ class SteppedMonitor(SerialMonitor):
         Yields rows, the first and the one after the last: of answers whose reports may be due; or,
         with its stamp [ns], of the sample from which on more is known.
         """
-        progress, plan = self.progress, (self.plan.per_block, self.plan.blocks)
+        progress = self.progress
         if answering is not self.answering:
             progress = plain(answering.progress[0])
-        fixed = plan, answering, rows, first, stamps, times, samples
+        fixed = answering, rows, first, stamps, times, samples
         while self._call(advance, self.parts, *fixed) or progress['phase'] != SAMPLE:
             now, row = float(self._state['now']), first + int(progress['taken']) - 1
             if progress['phase'] == REPORT:

@@ -115,7 +115,6 @@ class _Loop(NamedTuple):
     blocked: np.ndarray  # of the transport
     advance: Callable[..., bool]  # that of the diagnosis, and its arguments
     parts: Parts
-    plan: tuple[int, int]
     answering: Answering
     answers: AnswerRows
     stamps: IntArray
@@ -194,9 +193,7 @@ def _take(loop: _Loop, k: int) -> None:
     progress = loop.answering.progress[0]
     progress.taken = progress.answered = progress.reported = 0
     stamps, times, samples = loop.stamps[k : k + 1], loop.times[k : k + 1], loop.samples[k : k + 1]
-    waits = loop.advance(
-        loop.parts, loop.plan, loop.answering, loop.answers, k, stamps, times, samples
-    )
+    waits = loop.advance(loop.parts, loop.answering, loop.answers, k, stamps, times, samples)
     loop.own[0].phase = _DECIDE if waits else _ESTIMATE
 
 
@@ -419,9 +416,8 @@ def run_closed_loop(
     stepped, answering = monitor.parts
     stamps = np.rint(arm.sample_time * NANOSECONDS * np.arange(count)).astype(np.int64)
     times, samples = stamps / NANOSECONDS, np.empty((count, 3, len(arm.joints)))
-    plan = stepped.plan.per_block, stepped.plan.blocks
     answering = answering._replace(progress=memory(new_record(PROGRESS, next_report=_NO_REPORT)))
-    given, series = (stepped.parts, plan, answering, answers), (stamps, times, samples)
+    given, series = (stepped.parts, answering, answers), (stamps, times, samples)
     loop = _Loop(
         memory(now),
         simulator.parts,

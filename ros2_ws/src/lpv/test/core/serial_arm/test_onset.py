@@ -182,7 +182,8 @@ def test_given_a_reading_that_rests_when_explained_then_it_froze_when_its_rest_b
 
 
 def drift(size, sigma, spread=0.0):
-    return begin_filter(0, 'drift', (0.0, 0.2), size, sigma, 0.0, spread)
+    fault = bank.Hypothesis('drift', 0, 0.0, size, sigma, 0.0)
+    return begin_filter(fault, 0.2, 0.0, spread)
 
 
 def test_given_a_filter_when_corrected_then_what_is_beyond_its_bound_or_rests_is_removed():

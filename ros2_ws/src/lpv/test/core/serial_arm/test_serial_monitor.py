@@ -168,7 +168,8 @@ def sampled(time, readings, period, smallest, share=1.0, own=None):
     """A sampler after readings whose rates are low-passed differences, and what it found."""
     n = readings.shape[1]
     derived = np.full(n, 1.0 if own is None else 0.0)
-    sampler = new_sampler(derived, np.full(n, 1e-4), np.full(n, smallest), 40, 50, np.ones(n), 0.01)
+    usual = np.full(n, 1e-4), np.full(n, smallest)
+    sampler = new_sampler(derived, *usual, (40, 1, 2), 50, np.ones(n), 0.01)
     sampler.lines['limit'] = 6.5
     rates = np.diff(readings, axis=0, prepend=readings[:1]) / period
     rates = low_passed(rates, share) if own is None else own
@@ -293,7 +294,7 @@ def test_given_the_largest_accelerations_then_lines_jump_by_what_no_healthy_read
         fine = np.repeat(acceleration, 20, axis=0)  # of samples in the middle between changes
         rate = np.cumsum(fine, axis=0) * period / 20
         readings = (np.cumsum(rate, axis=0) * period / 20)[10::20]
-        sampler = new_sampler(np.ones(1), np.ones(1), np.ones(1), 40, 50, np.ones(1), period)
+        sampler = new_sampler(*np.ones((3, 1)), (40, 1, 2), 50, np.ones(1), period)
         jumps = []
         for k, reading in enumerate(readings):
             push_sample(sampler, period * (k + 1), reading, np.zeros(1), np.zeros(1))

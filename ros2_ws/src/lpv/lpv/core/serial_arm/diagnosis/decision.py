@@ -228,10 +228,8 @@ def decide(parts: Parts) -> None:
         if longest * state.sample_time <= STILL_TIME:
             state.stage = _ASK
     if state.stage == _ASK:
-        last = parts.recent.shape[0] - 1
-        state.asked = ask_bank(
-            bank, horizon, parts.sampler, parts.recent[last], state.threshold, state.rests
-        )
+        block = parts.recent[parts.recent.shape[0] - 1]
+        state.asked = ask_bank(bank, horizon, parts.sampler, block, state.threshold, state.rests)
         quiet = bank.state[0].statistic < state.threshold and not (state.suspects or state.pushed)
         state.stage = _LEVELS if quiet and not state.asked else _NAME
     if state.stage == _LEVELS:

@@ -15,6 +15,7 @@ import numpy as np
 from lpv.core.serial_arm.chain import FloatArray
 from lpv.core.serial_arm.diagnosis import priors
 from lpv.core.serial_arm.diagnosis.balance import DRIFT, OFFSET, RATE, SCALE
+from lpv.core.serial_arm.diagnosis.bank import Hypothesis
 from lpv.core.serial_arm.diagnosis.estimator import STRAIGHT, OffsetEstimator
 from lpv.core.serial_arm.diagnosis.information import ROBUST, whiten
 from lpv.core.serial_arm.diagnosis.readings import Readings
@@ -178,30 +179,21 @@ def _course(state: FloatArray, since: FloatArray) -> tuple[FloatArray, FloatArra
 
 
 def begin_filter(
-    joint: int,
-    kind: str,
-    span: tuple[float, float],
-    size: float,
-    sigma: float,
-    origin: float,
-    spread: float = 0.0,
-    scale: float = 1.0,
+    fault: Hypothesis, now: float, origin: float, spread: float = 0.0, scale: float = 1.0
 ) -> FaultFilter:
-    """Filter of a fault that has just been named, at the end of the newest balance.
+    """Filter of a fault that has just been named, at the end of the newest balance [s].
 
-    ``span`` holds when it began to change and that end [s].  ``size`` and its standard
-    deviation are in the unit of the kind.  ``origin`` is the reading when the fault began to
-    change, as corrected so far [rad], and ``spread`` the standard deviation of that moment [s].
-    ``scale`` is that of `SerialJoint`.
+    ``origin`` is the reading when the fault began to change, as corrected so far [rad], and
+    ``spread`` the standard deviation of that moment [s].  ``scale`` is that of `SerialJoint`.
     """
-    begin, now = span
-    one = FaultFilter(joint, kind, begin, updated=now, scale=scale)
-    if kind == 'drift':
-        past = now - begin
+    size, sigma = fault.size, fault.sigma
+    one = FaultFilter(fault.joint, fault.kind, fault.begin, updated=now, scale=scale)
+    if fault.kind == 'drift':
+        past = now - fault.begin
         one.mean[:2] = size * np.array([past, 1.0])
         one.covariance[:2, :2] = sigma**2 * np.array([[past**2, past], [past, 1.0]])
         one.covariance[0, 0] += (size * spread) ** 2
-    elif kind == 'scale':
+    elif fault.kind == 'scale':
         one.mean[:2] = size, -size * origin
         one.covariance = np.diag([sigma**2, (priors.WIDEST_LEVEL * scale) ** 2, 0.0])
     else:

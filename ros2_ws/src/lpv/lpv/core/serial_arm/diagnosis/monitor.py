@@ -176,7 +176,8 @@ class SerialMonitor:
         self.estimator = OffsetEstimator(arm, self.plan)
         sensors = arm.sensors()
         noise = np.hypot(sensors.position_noise, sensors.quantization)
-        capacity = self.plan.blocks * (self.plan.capacity + 1)
+        plan = self.plan
+        sizes = plan.blocks * (plan.capacity + 1), plan.per_block, plan.blocks
         self._healthy = HealthySet(arm, self.estimator)
         self.healthy = self._healthy if is_stated(arm) else None
         self.guarantee: Guarantee | None = None
@@ -186,7 +187,7 @@ class SerialMonitor:
         usual = np.maximum(2.0 * noise, 2.0 * smallest / JUMP_SCALE)
         self._rate_sources = RateSources(arm)
         self.sampler = new_sampler(
-            self.estimator.balance.derived, usual, smallest, capacity, self._rate_sources.probe,
+            self.estimator.balance.derived, usual, smallest, sizes, self._rate_sources.probe,
             self.scales, arm.sample_time)  # fmt: skip
         self.readings = Readings(self.sampler, self.estimator, arm.sample_time)
         self.sensors = [SensorRecord() for _ in range(n)]
@@ -766,8 +767,8 @@ class SerialMonitor:
         origin = float(np.interp(one.begin, blocks[:, 3 * self.joints], blocks[:, one.joint]))
         # Uniform over the starts that the named one stands for.
         spread = one.starts * self.plan.interval / math.sqrt(12.0)
-        span, scale = (one.begin, self.readings.ended()), float(self.scales[one.joint])
-        return begin_filter(one.joint, one.kind, span, one.size, one.sigma, origin, spread, scale)
+        scale = float(self.scales[one.joint])
+        return begin_filter(one, self.readings.ended(), origin, spread, scale)
 
     def _blame_rate(self, one: Hypothesis, share: float) -> None:
         """A rate sensor contradicts its encoder, and balances say that it is the one to blame."""

@@ -140,24 +140,27 @@ class Sampler(NamedTuple):
     probe: FloatArray  # (P, 2 n + 1) samples in a row as they came: time, readings, rates
     state: np.ndarray  # memory of a record of `STATE`
     period: float  # sample time of the file [s]
+    per_block: int  # samples of a block
+    per_interval: int  # blocks of an interval
 
 
 def new_sampler(
     derived: FloatArray,
     scale: FloatArray,
     smallest: FloatArray,
-    capacity: int,
+    sizes: tuple[int, int, int],
     probe: int,
     unit: FloatArray,
     period: float,
 ) -> Sampler:
-    """A sampler without samples, for ``capacity`` blocks, and a probe of so many samples.
+    """A sampler without samples, with a probe of so many samples.
 
+    ``sizes`` are how many blocks are kept, samples a block and blocks an interval has.
     ``derived``, shape (n,), is 1 where a rate is derived from its reading.  ``scale`` is the usual
     size of e to begin with, ``smallest`` the smallest jump, ``unit`` what counts as much as 1 rad,
     shape (n,) [rad]; ``period`` is the sample time [s].
     """
-    n = len(derived)
+    n, (capacity, *plan) = len(derived), sizes
     lines, contrast = new_records(LINES, n), new_records(CONTRAST, n)
     lines['scale'], lines['limit'] = scale, np.inf
     return Sampler(
@@ -170,7 +173,7 @@ def new_sampler(
         np.zeros(n), np.zeros(n), np.full(n, np.inf), np.full(n, np.inf), np.zeros((4, n)),
         np.zeros(n, np.int64), np.zeros((HISTORY, n), np.int64), np.zeros(n, np.int64),
         np.zeros((4, n)), contrast, np.zeros((probe, 2 * n + 1)),
-        memory(new_record(STATE, pending=-1)), period)  # fmt: skip
+        memory(new_record(STATE, pending=-1)), period, *plan)  # fmt: skip
 
 
 @njit_in_place

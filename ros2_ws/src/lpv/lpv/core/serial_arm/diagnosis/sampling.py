@@ -105,11 +105,8 @@ def push_sample(
 
 
 @njit_in_place
-def move_to_balance(sampler: Sampler, balance: Balance, per_block: int, blocks: int) -> bool:
-    """Let the sample that is ``DELAY`` old enter the balance; true if a balance is complete.
-
-    A block has ``per_block`` samples, an interval has ``blocks``.
-    """
+def move_to_balance(sampler: Sampler, balance: Balance) -> bool:
+    """Let the sample that is ``DELAY`` old enter the balance; true if a balance is complete."""
     k = HISTORY - 1 - DELAY
     if sampler.state[0].count <= DELAY + 1:
         return False
@@ -133,12 +130,12 @@ def move_to_balance(sampler: Sampler, balance: Balance, per_block: int, blocks: 
     if sampler.state[0].late_from < now < sampler.state[0].late_until:
         sampler.state[0].in_doubt = sampler.state[0].latest
     sampler.state[0].in_block += 1
-    if sampler.state[0].in_block < per_block:
+    if sampler.state[0].in_block < sampler.per_block:
         return False
-    _close_block(sampler, blocks)
-    if sampler.state[0].in_interval < blocks:
+    _close_block(sampler)
+    if sampler.state[0].in_interval < sampler.per_interval:
         return False
-    return _close_interval(sampler, balance, blocks)
+    return _close_interval(sampler, balance)
 
 
 @njit_in_place
@@ -158,13 +155,14 @@ def _hidden(sampler: Sampler, k: int, i: int) -> float:
 
 
 @njit_in_place
-def _close_interval(sampler: Sampler, balance: Balance, blocks: int) -> bool:
+def _close_interval(sampler: Sampler, balance: Balance) -> bool:
     """Give the last blocks to the balance; true if one is complete."""
     n, capacity, length = sampler.scale.shape[0], sampler.blocks.shape[0], 0.0
-    first, passed = sampler.state[0].blocks - blocks, 0.0
-    for k in range(first, first + blocks):
+    last, passed = sampler.state[0].blocks, 0.0
+    first = last - sampler.per_interval
+    for k in range(first, last):
         length += sampler.blocks[k % capacity, 3 * n + 1]
-    for k in range(first, first + blocks):
+    for k in range(first, last):
         row = sampler.blocks[k % capacity]
         own = row[3 * n + 1]
         row[3 * n + 2] = (passed + 0.5 * own) / length
@@ -177,9 +175,9 @@ def _close_interval(sampler: Sampler, balance: Balance, blocks: int) -> bool:
 
 
 @njit_in_place
-def _close_block(sampler: Sampler, blocks: int) -> None:
+def _close_block(sampler: Sampler) -> None:
     """Keep the means of the block."""
-    n, count = sampler.scale.shape[0], sampler.state[0].in_block
+    n, count, blocks = sampler.scale.shape[0], sampler.state[0].in_block, sampler.per_interval
     capacity, length = sampler.blocks.shape[0], sampler.state[0].block_length
     at = sampler.state[0].blocks % capacity
     row = sampler.blocks[at]
@@ -229,23 +227,17 @@ def restart(sampler: Sampler, balance: Balance) -> None:
 
 @njit_in_place
 def take_samples(
-    sampler: Sampler,
-    balance: Balance,
-    times: FloatArray,
-    samples: FloatArray,
-    begin: int,
-    plan: tuple[int, int],
+    sampler: Sampler, balance: Balance, times: FloatArray, samples: FloatArray, begin: int
 ) -> tuple[int, bool]:
     """Take samples until something has to be decided: a balance is complete, or a reading jumped.
 
     ``times``, shape (N,), are stamps [s], ``samples``, shape (N, 3, n), readings, rates and
-    torques; ``plan`` holds how many samples a block and how many blocks an interval has.  Returns
-    the next sample to take, and whether a balance is complete.
+    torques.  Returns the next sample to take, and whether a balance is complete.
     """
     n = sampler.scale.shape[0]
     for k in range(begin, times.shape[0]):
         push_sample(sampler, times[k], samples[k, 0], samples[k, 1], samples[k, 2])
-        complete = move_to_balance(sampler, balance, plan[0], plan[1])
+        complete = move_to_balance(sampler, balance)
         jumped = False
         for i in range(n):
             jumped = jumped or sampler.found[i] != NONE
