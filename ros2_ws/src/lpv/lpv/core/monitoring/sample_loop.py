@@ -4,7 +4,6 @@
 needs what only a suspicion does, or there is more to be known than that nothing is wrong.
 """
 
-from enum import IntEnum
 from typing import NamedTuple
 
 import numpy as np
@@ -25,19 +24,9 @@ UNWATCHED = round(STARTS[-1] * NANOSECONDS)
 """Time without a complete balance after which faults may have begun that are never found [ns]."""
 OK, NOT_DIAGNOSABLE = int(SensorState.OK), int(SensorState.NOT_DIAGNOSABLE)
 _TAKE, _DONE, _OBSERVING = int(Stage.TAKE), int(Stage.DONE), int(Mode.OBSERVING)
-
-
-class Phase(IntEnum):
-    """Where to go on; Python does what is due of all but the first one."""
-
-    SAMPLE = 0
-    REPORT = 1  # of samples that have been answered
-    JUMP = 2  # something was found at a sample
-    DECIDE = 3  # stages of the decision
-    KNOW = 4  # what holds from the sample on
-
-
-SAMPLE, REPORT, JUMP, DECIDE, KNOW = map(int, Phase)
+SAMPLE, REPORT, JUMP, DECIDE, KNOW = range(5)
+"""Phases of a sample; Python does what is due of all but the first one: a report of samples that
+have been answered, what was found at a sample, stages of the decision, what holds from then on."""
 PROGRESS = record_type(
     ('phase', 'i8'),
     ('taken', 'i8'),  # samples

@@ -228,7 +228,8 @@ class SteppedMonitor(SerialMonitor):
         known.predicted[:], known.missed[:] = self._accelerations()
         known.is_derived[:] = sampler.derived == 1.0
         left = np.where(is_level, sigma, np.sqrt(self._removed_variance + changing**2))
-        flags['stamp'], flags['mode'] = stamp, int(self._mode())
+        flags['stamp'] = stamp
+        flags['mode'] = int(Mode.OBSERVING if self.balances else Mode.INITIALISING)
         flags['trustworthy'] = self._can_be_compensated(is_error, left)
         flags['inconsistent'] = bool(self.suspects)
         flags['until'] = self._balanced + UNWATCHED
@@ -237,9 +238,6 @@ class SteppedMonitor(SerialMonitor):
             # An offset from the start is not in the set: its estimate is on its way.
             doubtful = is_level.any() or self.suspects
             self._uio.rely(self.rates_are_right and not doubtful)
-
-    def _mode(self) -> Mode:
-        return Mode.OBSERVING if self.balances else Mode.INITIALISING
 
     def _can_be_compensated(self, is_error: BoolArray, sigma: FloatArray) -> bool:
         """Whether what is removed of confirmed faults is known well enough to go on.

@@ -104,15 +104,10 @@ def new_balance(
     return Balance(
         chain, np.ascontiguousarray(directions, dtype=float), np.zeros(n),
         np.ascontiguousarray(derived, dtype=float),
-        new_hat(n, columns), np.zeros(1), np.zeros((2, n)), _no_rates(n),
+        new_hat(n, columns), np.zeros(1), np.zeros((2, n)),
+        np.tile([[np.inf], [-np.inf]], (3, 1, n)),
         np.zeros((n, n)), workspace(chain), np.zeros((10, n)), drives,
         np.ascontiguousarray(to_joints), scale)  # fmt: skip
-
-
-def _no_rates(n: int) -> FloatArray:
-    rates = np.full((3, 2, n), np.inf)
-    rates[:, 1] = -np.inf
-    return rates
 
 
 @njit_in_place

@@ -476,7 +476,9 @@ class OffsetEstimator:
         """Sum up the last balances again, after a change of their variance."""
         self.call(weigh_all, self.horizon, last)
 
-    def _solve(self) -> None:
+    def _renew(self, last: int) -> None:
+        """Estimate anew, after a change of the last balances, or of their variance."""
+        self.weigh_again(last)
         self.call(solve_all, self.horizon)
 
     def misfit(self) -> float:
@@ -532,7 +534,7 @@ class OffsetEstimator:
         largest = STRAIGHT * self.balance.scale
         self.balance.reference[:] += np.clip(self._step(), -largest, largest)
         self.replace_last(blocks)
-        self._solve()
+        self.call(solve_all, self.horizon)
         self._since[:] = 0
 
     def move_reference(self, joint: int, by: float) -> None:
@@ -543,8 +545,7 @@ class OffsetEstimator:
         for past in (self.posterior.past, self.level.past):
             past[0] -= by * past[1 + joint]
             past[:, 0] -= by * past[:, column]
-        self.weigh_again(len(self))
-        self._solve()
+        self._renew(len(self))
 
     def restart(self) -> None:
         """Begin a new horizon after a gap; what the old one said of the arm is kept.
@@ -612,8 +613,7 @@ class OffsetEstimator:
             past[0] -= moved @ past[1:]
             past[:, 0] -= past[:, -len(moved) :] @ moved
             null.mean[:] += moved
-        self.weigh_again(len(self))
-        self._solve()
+        self._renew(len(self))
 
     def doubt_readings(self, joint: int, error: float | FloatArray) -> None:
         """Let the balances of the horizon say less: readings of one sensor were wrong in them.
@@ -625,8 +625,7 @@ class OffsetEstimator:
         at = recent(self.window, len(error))
         offset = self.window.rows[at, :, 1 + OFFSET * self.joints + joint]
         self.window.extra[at] += np.count_nonzero(error) * (error[:, None] * offset) ** 2
-        self.weigh_again(len(error))
-        self._solve()
+        self._renew(len(error))
 
     def doubt_rates(self, joint: int, noise: float, since: float) -> None:
         """Let balances that ended since a moment [s] say less: readings of one sensor were noisy.
@@ -637,22 +636,19 @@ class OffsetEstimator:
         at = recent(self.window, count)
         edges = noise * self.window.momenta[at, :, joint] / self.plan.interval
         self.window.extra[at] += self.balance.derived[joint] * READINGS_AT_EDGES * edges**2
-        self.weigh_again(count)
-        self._solve()
+        self._renew(count)
 
     def doubt_balances(self, variances: FloatArray) -> None:
         """Let the last balances say less, by more variance, shape (last, n) [N2 m2 s2]."""
         self.window.extra[recent(self.window, len(variances))] += variances
-        self.weigh_again(len(variances))
-        self._solve()
+        self._renew(len(variances))
 
     def distrust(self, last: int) -> None:
         """Take most of the weight off the last balances, and estimate anew."""
         last = min(last, len(self))
         at = recent(self.window, last)
         self.window.trust[at] = np.minimum(self.window.trust[at], DISTRUST)
-        self.weigh_again(last)
-        self._solve()
+        self._renew(last)
 
 
 class _About(NamedTuple):

@@ -159,11 +159,6 @@ class SerialMonitor:
         state['at_start'] = -math.log(priors.FAULT_AT_START)
         self._tell()
 
-    def certify(self, certified: Certified) -> None:
-        """Raise offsets that another observer certifies, too."""
-        self._certified = certified
-        self._join()
-
     def _certify_nothing(self) -> None:
         """Do without another observer."""
         self._certified = np.zeros(self.joints), np.full(self.joints, np.inf), np.zeros(1, bool)
@@ -172,11 +167,10 @@ class SerialMonitor:
         """Forget samples, estimates and faults."""
         n, arm, settings = self.joints, self.arm, self.settings
         self._jump_bound = jump_bound(arm)
-        self.plan = HorizonPlan.of(arm.sample_time)
-        self.estimator = OffsetEstimator(arm, self.plan)
+        self.plan = plan = HorizonPlan.of(arm.sample_time)
+        self.estimator = OffsetEstimator(arm, plan)
         sensors = arm.sensors()
         noise = np.hypot(sensors.position_noise, sensors.quantization)
-        plan = self.plan
         sizes = plan.blocks * (plan.capacity + 1), plan.per_block, plan.blocks
         self._healthy = HealthySet(arm, self.estimator)
         self.healthy = self._healthy if is_stated(arm) else None
@@ -195,27 +189,25 @@ class SerialMonitor:
         self.rates = [SensorRecord() for _ in range(n)]
         self.followed = FollowedFaults(self.readings, self.bank, self.sensors, self.rates)
         self._jumps = UndecidedJumps(self.readings, self.bank)
-        self._known = np.zeros(n)  # for how long each offset has been diagnosable [s]
         self._contact = _Contact()
         self._rival = -np.inf  # largest evidence of an encoder's fault while something is suspected
         self.suspects: tuple[str, ...] = ()
         self._suspected = np.zeros(n)  # sizes of the faults among these [rad]
         self._stuck: list[Hypothesis] = []
-        held = 2 * self.plan.per_interval + DELAY
-        self._memory = new_record(DECISION, sample_time=arm.sample_time, held=held)
-        self._state, self._beyond = plain(self._memory), np.zeros((2, n))
-        count = 2 * self.plan.blocks
-        self._recent = np.zeros((count, 3 * n + 4)), np.zeros((count, n))
-        self._join()
+        decision = new_record(
+            DECISION, sample_time=arm.sample_time, held=2 * plan.per_interval + DELAY
+        )
+        self._state, count = plain(decision), 2 * plan.blocks
+        self.parts = Parts(
+            memory(decision), self.sampler, self.estimator.horizon, self._healthy.ring,
+            self.bank.parts, self.estimator.prior, np.zeros(n), self._certified, np.zeros((2, n)),
+            np.zeros((count, 3 * n + 4)), np.zeros((count, n)))  # fmt: skip
         self.apply_settings()
 
-    def _join(self) -> None:
-        """Give decisions what they are made of."""
-        one = self.estimator
-        self.parts = Parts(
-            memory(self._memory), self.sampler, one.horizon, self._healthy.ring,
-            self.bank.parts, one.prior, self._known, self._certified, self._beyond, *self._recent,
-        )  # fmt: skip
+    def certify(self, certified: Certified) -> None:
+        """Raise offsets that another observer certifies, too."""
+        self._certified = certified
+        self.parts = self.parts._replace(certified=certified)
 
     @property
     def statistic(self) -> float:
@@ -807,14 +799,14 @@ class SerialMonitor:
         if self._is_held():
             self._report_contact(now)
             return Stage.END
-        gain, excluded = self._beyond
+        gain, excluded = self.parts.beyond
         for i in np.flatnonzero((gain > 0.0) | (excluded > 0.0)).tolist():
             sensor = self.sensors[i]
             if sensor.active or self.sampler.noisy[i]:
                 continue
             # From the start on, or since; as where they are found.
             later = priors.OCCURRENCE['slip'] * HORIZON / 3600.0
-            prior = priors.FAULT_AT_START if self._known[i] < HORIZON else later
+            prior = priors.FAULT_AT_START if self.parts.known[i] < HORIZON else later
             odds = self.bank.offset_against_contact(i) + math.log(prior)
             # Torques from outside that were the cause remain it when their onset, which told them
             # from an offset, has left the horizon.

@@ -14,7 +14,7 @@ from lpv.core.serial_arm.diagnosis import priors
 from lpv.core.serial_arm.diagnosis.balance import OFFSET, SCALE
 from lpv.core.serial_arm.diagnosis.bank import Bank
 from lpv.core.serial_arm.diagnosis.estimator import OffsetEstimator
-from lpv.core.serial_arm.diagnosis.fault_filter import LARGEST_SCALE, FaultFilter
+from lpv.core.serial_arm.diagnosis.fault_filter import FaultFilter
 from lpv.core.serial_arm.diagnosis.information import probability, recent
 from lpv.core.serial_arm.diagnosis.onset import weigh_errors
 from lpv.core.serial_arm.diagnosis.readings import Readings
@@ -106,16 +106,3 @@ class ScaleOfJump:
             began = blocks[-1 - count * plan.blocks, self.joint]
             more = self.size * float(blocks[-1, self.joint] - began)
             self.by_rate = (-way[0] * more - 0.5 * more**2) / way[1] ** 2
-
-
-def scale_of_jump(
-    joint: int, time: float, jump: tuple[float, float], reading: float
-) -> ScaleOfJump | None:
-    """The hypothesis at the moment of a jump; None where no scale error explains it.
-
-    ``jump`` is its size and standard deviation, ``reading`` the reading without it [rad].
-    """
-    size, sigma = jump
-    if not abs(size) < LARGEST_SCALE * abs(reading):
-        return None
-    return ScaleOfJump(joint, time, reading, size / reading, max(sigma, 1e-9) / abs(reading))

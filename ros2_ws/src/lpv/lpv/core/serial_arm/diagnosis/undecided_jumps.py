@@ -8,8 +8,9 @@ from lpv.core.serial_arm.chain import BoolArray, FloatArray
 from lpv.core.serial_arm.diagnosis.bank import Bank, Compared
 from lpv.core.serial_arm.diagnosis.end_of_fault import EndOfFault, end_of_fault
 from lpv.core.serial_arm.diagnosis.estimator import HORIZON
+from lpv.core.serial_arm.diagnosis.fault_filter import LARGEST_SCALE
 from lpv.core.serial_arm.diagnosis.readings import Readings
-from lpv.core.serial_arm.diagnosis.scale_of_jump import ScaleOfJump, scale_of_jump
+from lpv.core.serial_arm.diagnosis.scale_of_jump import ScaleOfJump
 
 
 class UndecidedJumps:
@@ -36,9 +37,9 @@ class UndecidedJumps:
     def begin(self, i: int, size: float, sigma: float, again: float) -> EndOfFault:
         """Doubt a jump of sensor i at the newest sample; ``again`` is as of `end_of_fault`."""
         now, reading = self._readings.last(), self._readings.newest(i)
-        scaled = scale_of_jump(i, now, (size, sigma), reading)
-        if scaled is not None:
-            self.scaled[i] = scaled
+        if abs(size) < LARGEST_SCALE * abs(reading):  # else no scale error explains it
+            ratios = size / reading, max(sigma, 1e-9) / abs(reading)
+            self.scaled[i] = ScaleOfJump(i, now, reading, *ratios)
         self.ends[i] = end_of_fault(self._readings, self._bank, i, size, again)
         return self.ends[i]
 
