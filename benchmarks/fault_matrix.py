@@ -233,8 +233,8 @@ def bound(cell: Cell, runs: Sequence[int], seed: int) -> str:
     return f'{place}: noise variance {text}{drift}'
 
 
-COMPILED = {'SLOW_RATE', 'AMPLITUDES', 'POSE_TIME'}
-"""Priors that compiled functions keep."""
+COMPILED = {'SLOW_RATE', 'AMPLITUDES', 'POSE_TIME', 'WRONG_STAMPS', 'COARSEST_ROUNDING'}
+"""Priors that compiled functions keep; of `STEADY_FOR` it is what readings are corrected by."""
 
 
 @contextmanager

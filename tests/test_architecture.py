@@ -13,6 +13,7 @@ from xml.etree import ElementTree
 
 import import_graph
 import pytest
+from fault_matrix import COMPILED
 from places import PACKAGES, ROOT
 
 from lpv.core.serial_arm.diagnosis import priors
@@ -93,6 +94,16 @@ def test_given_the_product_when_searched_then_it_never_asks_for_the_kind_of_an_a
     others = [path for path in files if not path.as_posix().endswith(READS_OLD_FILES)]
     found = {path: re.search(QUESTIONS[question], path.read_text()) for path in others}
     assert len(found) > 100 and {path: match for path, match in found.items() if match} == {}
+
+
+def test_given_priors_that_compiled_functions_read_then_none_of_them_can_be_scaled():
+    kept = set()
+    for file in import_graph.module_files().values():
+        for one in ast.walk(ast.parse(file.read_text(encoding='utf-8'))):
+            decorators = map(ast.unparse, getattr(one, 'decorator_list', []))
+            if any(name.startswith('njit') for name in decorators):
+                kept |= {*re.findall(r'priors\.([A-Z_]+)', ast.unparse(one))}
+    assert kept - {'STEADY_FOR'} == COMPILED
 
 
 LITERAL = (ast.Constant, ast.UnaryOp, ast.BinOp, ast.Tuple, ast.operator, ast.unaryop, ast.Load)
