@@ -196,12 +196,8 @@ def count_regular(stream: Stream, stamps: IntArray, samples: FloatArray, begin: 
             return k - begin
         if not newest < stamps[k] <= newest + JUMP or stamps[k] > last + stream.gap:
             return k - begin
-        if not is_plausible(
-            samples[k],
-            stream.independent,
-            stream.endless,
-            samples[k - 1, 0] if k > begin else stream.reading,
-        ):
+        before = samples[k - 1, 0] if k > begin else stream.reading
+        if not is_plausible(samples[k], stream.independent, stream.endless, before):
             return k - begin
         last = newest = stamps[k]
     return len(stamps) - begin

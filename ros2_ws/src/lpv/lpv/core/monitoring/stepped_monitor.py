@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 
@@ -145,23 +146,18 @@ class SteppedMonitor(SerialMonitor):
         self._last_time, self.unread[:] = float(times[-1]), False
 
     def go_on(
-        self,
-        answering: Answering,
-        rows: AnswerRows,
-        first: int,
-        stamps: IntArray,
-        times: FloatArray,
-        samples: FloatArray,
+        self, answering: Answering, rows: AnswerRows, first: int, *taken: Any
     ) -> Iterator[tuple[int, int, int | None]]:
         """Take samples, decide on them and answer them, from where `advance` left.
 
-        Yields rows, the first and the one after the last: of answers whose reports may be due; or,
-        with its stamp [ns], of the sample from which on more is known.
+        ``taken`` are stamps, times and samples, as of `advance`.  Yields rows, the first and the
+        one after the last: of answers whose reports may be due; or, with its stamp [ns], of the
+        sample from which on more is known.
         """
         progress = self.progress
         if answering is not self.answering:
             progress = plain(answering.progress[0])
-        fixed = answering, rows, first, stamps, times, samples
+        fixed = answering, rows, first, *taken
         while self._call(advance, self.parts, *fixed) or progress['phase'] != SAMPLE:
             now, row = float(self._state['now']), first + int(progress['taken']) - 1
             if progress['phase'] == REPORT:

@@ -99,11 +99,7 @@ class HealthyRing(NamedTuple):
 
 @njit_in_place
 def take_healthy(
-    ring: HealthyRing,
-    horizon: Horizon,
-    blocks: tuple[FloatArray, FloatArray],
-    edges: float,
-    learn: bool,
+    ring: HealthyRing, horizon: Horizon, blocks: tuple[FloatArray, ...], edges: float, learn: bool
 ) -> None:
     """Take the balance that the horizon is about to take.
 

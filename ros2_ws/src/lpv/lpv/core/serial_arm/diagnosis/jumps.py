@@ -352,11 +352,9 @@ def _gone_one_way(sampler: Sampler, i: int, peak: int) -> float:
 @njit_in_place
 def _lasts(sampler: Sampler, i: int, peak: int) -> bool:
     """Whether a reading has gone on from where a jump that may be a wrong stamp's took it."""
-    before, after = peak - 2, min(peak + 2, HISTORY - 1)
-    rate = 0.5 * (
-        sampler.samples[before, 1, i] + sampler.samples[min(after + 1, HISTORY - 1), 1, i]
-    )
-    way = sampler.samples[after, 0, i] - sampler.samples[before, 0, i]
+    before, after, samples = peak - 2, min(peak + 2, HISTORY - 1), sampler.samples
+    rate = 0.5 * (samples[before, 1, i] + samples[min(after + 1, HISTORY - 1), 1, i])
+    way = samples[after, 0, i] - samples[before, 0, i]
     rest, size = way - rate * (sampler.time[after] - sampler.time[before]), sampler.jumps[peak, i]
     return bool(rest * np.sign(size) > MOST * abs(size))
 

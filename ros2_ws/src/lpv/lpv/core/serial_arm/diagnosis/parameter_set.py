@@ -71,18 +71,11 @@ def parameter_set(arm: SerialArm, chain: Chain) -> ParameterSet:
     counts = np.abs(inertial).max(1) > 0.0
     sensors = arm.sensors()
     return ParameterSet(
-        body[counts],
-        inertial[counts],
-        error * chain.motor,
-        share * np.abs(friction[:, VISCOUS]),
-        share * friction[:, COULOMB],
-        share * friction[:, LOAD],
+        body[counts], inertial[counts], error * chain.motor, share * np.abs(friction[:, VISCOUS]),
+        share * friction[:, COULOMB], share * friction[:, LOAD],
         share * np.abs(friction[:, OFFSET]),
-        RATE_BIAS * sensors.velocity_noise * sensors.independent,
-        0.5 * sensors.quantization,
-        _delay(arm),
-        _tolerance(arm),
-    )
+        RATE_BIAS * sensors.velocity_noise * sensors.independent, 0.5 * sensors.quantization,
+        _delay(arm), _tolerance(arm))  # fmt: skip
 
 
 def payload_generator(sizes: ParameterSet, largest: float) -> int:
