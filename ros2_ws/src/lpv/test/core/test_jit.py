@@ -3,8 +3,10 @@ import signal
 import subprocess
 import sys
 
+import numpy as np
 import pytest
 
+from lpv.core.simulation.arm_simulator import Chances
 from lpv.core.support import jit, process_lock
 from lpv.core.support.jit import module_digest, source_digest
 from lpv.core.support.process_lock import ProcessLock
@@ -53,6 +55,25 @@ def test_given_no_compiler_is_wanted_when_a_function_is_called_then_it_is_plain_
 
 
 linked = pytest.mark.skipif(not jit.COMPILED, reason='without Numba nothing is linked')
+
+
+@linked
+@pytest.mark.parametrize('options', [{}, {'_nrt': False}], ids=['counted', 'in place'])
+def test_given_what_python_hands_over_when_called_then_nothing_holds_it_afterwards(options):
+    import numba
+
+    import lpv.core.support.references  # noqa: F401  # how named tuples are handed over
+
+    together = Chances(*map(np.random.default_rng, range(3)))
+    called, alone = (numba.njit(lambda one: 0.0, **options) for _ in range(2))
+    held = []
+    for _ in range(3):
+        called(together)
+        alone(together.noise)
+        held.append(sys.getrefcount(together.noise))
+    assert held == held[:1] * 3
+
+
 LINKED = """
 import sys
 import numba

@@ -10,7 +10,7 @@ import hashlib
 from typing import Any
 
 from llvmlite import ir
-from numba.core import cgutils, types
+from numba.core import boxing, cgutils, pythonapi, types
 from numba.core.datamodel import models
 from numba.core.imputils import impl_ret_borrowed
 from numba.core.typing.templates import AttributeTemplate
@@ -59,7 +59,33 @@ def _unbox(kind: Reference, value: Any, c: Any) -> NativeValue:
     # What is read there must not be taken for what was there before.
     unknown = ir.FunctionType(place.type, [place.type])
     place = c.builder.asm(unknown, '', '=r,0,~{memory}', [place], True)
-    return NativeValue(place, is_error=native.is_error, cleanup=native.cleanup)
+
+    def cleanup() -> None:
+        if native.cleanup is not None:
+            native.cleanup()
+        if c.context.enable_nrt:  # of an address, Numba would let nothing go
+            c.context.nrt.decref(c.builder, kind.record, native.value)
+
+    return NativeValue(place, is_error=native.is_error, cleanup=cleanup)
+
+
+def _unbox_generator(kind: Any, value: Any, c: Any) -> NativeValue:
+    """Unpack a random generator; what counts its references is let go where nothing else is."""
+    native = boxing.unbox_numpy_random_generator(kind, value, c)
+    if c.context.enable_nrt:
+        return native
+
+    def cleanup() -> None:
+        place = c.context.data_model_manager[kind].get_field_position('meminfo')
+        info = c.builder.extract_value(native.value, place)
+        done = ir.FunctionType(ir.VoidType(), [info.type])
+        let_go = cgutils.get_or_insert_function(c.builder.module, done, 'NRT_MemInfo_call_dtor')
+        c.builder.call(let_go, [info])
+
+    return NativeValue(native.value, is_error=native.is_error, cleanup=cleanup)
+
+
+pythonapi._unboxers.functions[types.NumPyRandomGeneratorType] = _unbox_generator
 
 
 @infer_getattr
