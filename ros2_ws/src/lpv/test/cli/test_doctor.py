@@ -294,6 +294,8 @@ def test_given_another_arm_or_nothing_when_checked_then_it_is_said(shot, paper_a
     assert {'publishers', 'measurements'} <= {f.check for f in findings}
     (finding,) = bad(findings)
     assert 'but there are measurements' in finding.text and 'no gains' in finding.remedy
+    driver.measured = {JOINTS: heard(effort=())}
+    assert 'efforts' in found(graph.check_graph(driver)), 'before an observer runs, too'
 
 
 @pytest.mark.parametrize('together', [True, False])
