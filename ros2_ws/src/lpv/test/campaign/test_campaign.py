@@ -242,18 +242,19 @@ def test_given_a_wrong_rate_when_it_is_named_then_it_is_found_and_no_alarm_is_fa
     assert row['false_alarms'] == row['wrong_alarms'] == 0 and row['detection_delay'] < 0.3
 
 
-def figures_of(faults, *alarms):
-    """Figures of 8 s of two sensors from faults and alarms: index, onset and confirmation [s]."""
+def figures_of(faults, *alarms, estimate=0.0):
+    """Figures of 8 s of two sensors from faults, alarms (index, onset, confirmation [s]) and an
+    estimate; thresholds are 0.1."""
     alarms = [
         Alarm(AlarmEvent.RAISED, i, 'ab'[i], round(1e9 * onset), round(1e9 * t), 0.1, 0.1, 'bias',
               1.0)
         for i, onset, t in alarms
     ]  # fmt: skip
     time, zeros = np.arange(0.0, 8.0, 0.1), np.zeros((80, 2))
-    signals = 'position', 'reference', 'torque', 'fault', 'fault_estimate', 'estimate'
+    signals = 'position', 'reference', 'torque', 'fault', 'estimate'
     run = SimpleNamespace(
         time=time, alarms=alarms, threshold=zeros + 0.1, braked=time < 0.0,
-        inconsistent=time < 0.0, **dict.fromkeys(signals, zeros),
+        inconsistent=time < 0.0, fault_estimate=zeros + estimate, **dict.fromkeys(signals, zeros),
     )  # fmt: skip
     arm = SimpleNamespace(sensor_names=('a', 'b'), sample_time=0.1)
     return figures(arm, SimpleNamespace(faults=faults, seed=1), run)
@@ -266,6 +267,11 @@ def test_given_two_faults_when_an_alarm_comes_before_its_own_then_that_was_not_f
     assert row['detected'] == row['isolated'] == (delay is not None)
     assert row['wrong_alarms'] == (delay is None) and row['false_alarms'] == 0
     assert row['detection_delay'] == pytest.approx(delay or np.nan, nan_ok=True)
+
+
+def test_given_an_estimate_of_a_healthy_run_when_measured_then_it_is_scored_by_its_threshold():
+    row = figures_of([], estimate=-0.05)
+    assert (row['score_before_1'], row['fault_rms_before']) == pytest.approx((0.5, 0.05))
 
 
 def test_given_a_fault_after_the_end_of_a_run_when_measured_then_there_was_none_to_find():

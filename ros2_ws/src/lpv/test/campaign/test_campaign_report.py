@@ -12,12 +12,12 @@ from campaign_files import resolved, spec, written
 from fault_injection import with_joints
 from rich.console import Console
 from runs import assert_stands_alone
-from scipy.stats import chi2
+from scipy.stats import chi2, norm
 
 from lpv.campaign.execution.runs import run_one
 from lpv.campaign.plan.campaign import resolve
 from lpv.campaign.report import write
-from lpv.campaign.report.statistics import Results, found_from, poisson_rate, spread, trends
+from lpv.campaign.report.statistics import Results, found_from, poisson_rate, proportion, trends
 from lpv.campaign.report.write import command, confusion, report_numbers, write_report
 from lpv.core.control.watchdog import StopReason
 
@@ -72,6 +72,14 @@ def test_given_events_when_counted_then_their_rate_has_the_exact_poisson_interva
     assert poisson_rate(events, 0.0)['rate'] is None
 
 
+@pytest.mark.parametrize(('hits', 'cases'), [(0, 5), (8, 10), (40, 40)])
+def test_given_hits_when_counted_then_their_share_has_wilsons_interval(hits, cases):
+    found, z = proportion(hits, cases), norm.ppf(0.975)
+    assert found['low'] <= found['rate'] == hits / cases <= found['high']
+    for end in (found['low'], found['high']):
+        assert cases * (found['rate'] - end) ** 2 == pytest.approx(z**2 * end * (1.0 - end))
+
+
 def test_given_sizes_when_swept_then_the_smallest_that_is_found_is_that_of_the_curve():
     sizes = np.linspace(0.1, 2.0, 20)
     assert found_from(sizes, sizes > 0.95) == pytest.approx(1.0)
@@ -110,7 +118,9 @@ def test_given_runs_when_numbers_are_gathered_then_they_are_of_the_rows(campaign
     assert {name: rates[name] for name in known} == known
     both = next(e for e in found['detection'] if e['kind'] == 'bias' and e['sensor'] == 'both')
     mine = [r for r in rows if r['kind'] == 'bias' and r['sensor'] == 'both']
-    assert both['delay'] == spread([r['detection_delay'] for r in mine])
+    delays = [r['detection_delay'] for r in mine if r['detected']]
+    ends = zip(('low', 'median', 'high'), np.quantile(delays, (0.05, 0.5, 0.95)))
+    assert both['delay'] == pytest.approx({'count': len(delays), **dict(ends)})
     assert sorted(both['sizes']) == sorted(r['fault_size'] for r in mine)
     assert sum(c['detected']['cases'] for c in both['classes']) == len(mine)
     by = {one['factor']: {g['value']: g['count'] for g in one['groups']} for one in found['groups']}
