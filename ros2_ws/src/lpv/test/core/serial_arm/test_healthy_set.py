@@ -256,6 +256,9 @@ SURE, OVER = ', confidence 90.0% (statistical)', {'event': AlarmEvent.CLEARED}
 @pytest.mark.parametrize(('changes', 'told'), [
     ({}, f'ALARM, lift: error +0.0004 m (bound 0.0001 m), bias{SURE}'),
     ({'bound': np.inf}, f'ALARM, lift: error of unknown size, bias{SURE}'),
+    *(({'kind': kind, 'bound': np.inf}, f'ALARM, lift: error of unknown size, {word}{SURE}')
+      for kind, word in (('stuck', 'reading stands still (stuck)'), ('noise', 'too much noise'),
+                         ('spike', 'single wrong readings (spike)'))),
     # No bound is not a perfect estimate, nor is a small one.
     ({'bound': 0.0}, f'ALARM, lift: error +0.0004 m, bias{SURE}'),
     ({'bound': 4e-5}, f'ALARM, lift: error +0.0004 m (bound 0.0001 m), bias{SURE}'),
