@@ -1,5 +1,6 @@
 """From an arm and a requirement to gains that were checked."""
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
@@ -10,7 +11,9 @@ import numpy as np
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.serial_arm.two_links import ArmParameters
 from lpv.core.support.inequalities import Check
+from lpv.core.uio.certificate.conditions import ControllerGains
 from lpv.core.uio.certificate.gains import Gains
+from lpv.core.uio.model.joints import J_INVERSE, JointMap
 from lpv.core.uio.observer.sampled_observer import ObserverGains
 from lpv.core.uio.planar import planar_model
 from lpv_design.controller import design_controller
@@ -23,6 +26,9 @@ from lpv_design.solve import SOLVER, InfeasibleError, NotDetectableError, check_
 _POLE_LIMIT = 0.45
 """Largest abs(pole) Ts that requirements are limited to: nine tenths of half of that at which an
 integrator oscillates in a sampled loop with one sample of delay."""
+_NOISY = 0.5
+"""Standard deviation of torques by noise, in units of their limits, from which tracking suffers:
+one value in twenty reaches the limit."""
 _SLOWER_LOOPS = ((_POLE_LIMIT, 1.0), (0.8, 2.0), (0.8, 4.0))
 """What is tried for the controller where the sample time limits it: fastest pole times sample time,
 and the divisor of alpha.  The certificate's sampled loop with delay decides."""
@@ -172,6 +178,17 @@ def _reason(check: Check, observer_status: str, controller_status: str) -> str:
     )
 
 
+def noise_of_torques(arm: ArmParameters, controller: ControllerGains) -> np.ndarray:
+    """Standard deviation of the joint torques that noise of the readings makes, in units of their
+    limits, shape (2,)."""
+    position, rate = arm.position_noise, arm.velocity_noise
+    if arm.rates != 'independent':  # differences of the positions
+        rate = max(rate, math.sqrt(2.0) * position / arm.sample_time)
+    angles = np.kron(np.eye(2), np.linalg.inv(JointMap(arm).sensor_matrix))
+    torques = J_INVERSE.T @ controller.m1 @ angles * np.repeat([position, rate], 2)
+    return np.linalg.norm(torques, axis=1) / arm.torque_limit
+
+
 def _bound_lines(arm: ArmParameters, gains: Gains, found: Guarantee) -> list[str]:
     sigma = gains.observer.fault_sigma
     middle = len(found.deviation) // 2
@@ -180,7 +197,16 @@ def _bound_lines(arm: ArmParameters, gains: Gains, found: Guarantee) -> list[str
     def pair(values: Iterable[float]) -> str:
         return ', '.join(f'{v:.3f}' for v in values) + ' rad'
 
+    shares = noise_of_torques(arm, gains.controller)
+    told = ' and '.join(f'{share:.2g}' for share in shares)
+    slower = (
+        ': ask for a smaller fastest pole, or for rates with less noise'
+        if max(shares) > _NOISY
+        else ''
+    )
     return [
+        f'torques move by {told} of their limits (standard deviation) with the noise of the '
+        f'readings{slower}',
         f'{" and ".join(arm.sensor_names)}:',
         f'  standard deviation of the fault estimates: at most {pair(sigma)}',
         '  at rest, both links vertical: alarm threshold '

@@ -17,6 +17,7 @@ from lpv.core.support import inequalities, resources
 from lpv.core.uio.certificate import conditions, error_system, lmi
 from lpv.core.uio.certificate.conditions import observer_margin
 from lpv.core.uio.certificate.gains import load_gains
+from lpv.core.uio.model.joints import JointMap
 from lpv.core.uio.model.polytope import paper_descriptor, sinc_box, vertex_matrices
 from lpv.core.uio.observer.paper_observer import decoupling
 from lpv.identify.estimation.assembly import with_joint_values
@@ -302,6 +303,21 @@ def test_given_a_sample_time_that_slows_a_loop_alone_then_no_pole_is_said_to_be_
     assert [len(lines) for _, lines in tried] == [1, 1, 1]
     assert 'poles up to 64.3/s instead of 100/s' in tried[0][1][0]
     assert tried[1][1] == ['controller: alpha 1/s instead of 2/s']
+
+
+@pytest.mark.parametrize('rates', ['independent', 'derived'])
+def test_given_noisy_readings_when_fed_back_then_torques_have_the_noise_that_is_told(planar, rates):
+    arm, gains = replace(planar, rates=rates), designed(planar.name).controller
+    rng, joints = np.random.default_rng(0), JointMap(arm)
+    position = arm.position_noise * rng.normal(size=(20000, 2))
+    before = arm.position_noise * rng.normal(size=(20000, 2))
+    rate = arm.velocity_noise * rng.normal(size=(20000, 2))
+    if rates == 'derived':
+        rate = (position - before) / arm.sample_time
+    angles = np.linalg.inv(joints.sensor_matrix).T
+    torque = joints.joint_torque(np.hstack([position @ angles, rate @ angles]) @ gains.m1.T)
+    share = torque.std(axis=0) / arm.torque_limit
+    np.testing.assert_allclose(design_flow.noise_of_torques(arm, gains), share, rtol=0.1)
 
 
 @pytest.mark.parametrize('part', ['observer, link 1', 'observer', 'controller'])
