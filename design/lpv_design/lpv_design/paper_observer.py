@@ -61,7 +61,8 @@ def design_paper(arm: ArmParameters, wanted: PaperRequirement) -> tuple[PaperObs
         raise InfeasibleError(
             f'observer: LMI ({wanted.lmi}) with gamma = {wanted.gamma:g} has no '
             f'solution for phi2, phi3 in [{wanted.sinc_min:g}, 1] (solver: {status}, '
-            f'largest eigenvalue {margin:.3g})'
+            f'largest eigenvalue {margin:.3g}): ask for a larger disc (q, r), a '
+            "larger gamma or lmi '54+disc'"
         )
     return replace(observer, fault_sigma=paper_fault_sigma(arm, observer)), status
 
