@@ -8,6 +8,7 @@ from serial_arms import answered, shoulder_arm, simulated
 from ur10e_twin import twin
 
 from lpv.core.serial_arm.diagnosis import end_of_fault
+from lpv.core.serial_arm.diagnosis.alarms import AlarmEvent
 from lpv.core.serial_arm.diagnosis.information import recent
 from lpv.core.simulation.faults import Fault
 
@@ -108,6 +109,18 @@ def test_given_a_drift_that_nobody_named_when_it_ends_then_the_alarm_of_its_jump
     run = Run('paper', 'derived', ('drift', 0.3), 0, 1.5)
     assert run.events == [('RAISED', run.name, 'bias'), ('CLEARED', run.name, 'bias')]
     assert abs(run.estimate[-1, 0]) < 0.1
+
+
+@pytest.mark.parametrize(('arm', 'rate', 'duration'), [('chain3', -0.05, 1.0), ('ur10', 0.05, 4.0)])
+def test_given_a_drift_taken_for_a_scale_error_when_it_ends_then_alarms_are_as_sure_as_estimates(
+    arm, rate, duration
+):
+    run = Run(arm, 'independent', ('drift', rate), 0, duration)
+    updates = [one for one in run.answers.events if one[1].event is AlarmEvent.UPDATED]
+    assert updates[-1][1].detected >= run.stamps[0] + run.end * 1e9
+    for row, alarm in updates:
+        assert alarm.bound == pytest.approx(run.bound[row, 0])
+        assert abs(alarm.size - run.truth[row, 0]) < alarm.bound
 
 
 @pytest.mark.parametrize('rates', ['derived', 'independent'])

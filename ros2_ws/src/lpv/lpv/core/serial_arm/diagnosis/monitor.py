@@ -434,9 +434,11 @@ class SerialMonitor:
                 self.bank.kinematics.note_jump(i, sigma**2)
                 return  # of a fault that is known
         self.bank.kinematics.note_jump(i, sigma**2)
-        kind = sensor.kind if back is not None else 'bias'
-        value = fault if sensor.state is SensorState.ERROR else size
-        self._raise(i, kind, now, value, sigma, self._is_no_motion(i, abs(size)))
+        kind, guaranteed = sensor.kind if back else 'bias', self._is_no_motion(i, abs(size))
+        if sensor.active:
+            self._raise(i, kind, now, fault, guaranteed=guaranteed)
+        else:
+            self._raise(i, kind, now, size, sigma, guaranteed)
 
     def _is_no_motion(self, i: int, jump: float) -> bool:
         """Whether no healthy arm moves so far between two of the last samples.
@@ -470,13 +472,19 @@ class SerialMonitor:
         return abs(jump) < self._smallest_step(i)
 
     def _raise(
-        self, i: int, kind: str, onset: float, size: float, sigma: float,
+        self, i: int, kind: str, onset: float, size: float, sigma: float | None = None,
         guaranteed: bool = False, confidence: float = 1.0
     ) -> None:  # fmt: skip
-        """A fault of sensor i is confirmed, or changed."""
+        """A fault of sensor i is confirmed, or changed.
+
+        A fault is as uncertain as it is published to be; ``sigma`` is that of another ``size``, of
+        a jump or of noise.
+        """
         sensor = self.sensors[i]
         event = AlarmEvent.UPDATED if sensor.active else AlarmEvent.RAISED
         sensor.confirm(kind, onset, abs(size))
+        if sigma is None:
+            sigma = float(self.faults()[1][i])
         self._event(i, kind, onset, event, size, sigma, guaranteed, confidence)
 
     def _event(
@@ -569,7 +577,7 @@ class SerialMonitor:
             sensor.recover(now)
             return
         sensor.peak = 0.0  # it never was as large as the other one
-        self._raise(i, 'bias', sensor.onset, left, float(self.faults()[1][i]))
+        self._raise(i, 'bias', sensor.onset, left)
 
     def _seen(self, found: Compared) -> Hypothesis | None:
         """What explains a reading that froze, if balances say that its joint went on.
@@ -749,9 +757,8 @@ class SerialMonitor:
         self.followed.begin(one)
         self.healthy = self.guarantee = None  # readings are changed
         self._suspect_nothing()
-        fault, deviation = self.faults()
-        name = {'slip': 'bias'}.get(one.kind, one.kind)
-        self._raise(i, name, one.begin, float(fault[i]), float(deviation[i]), confidence=share)
+        name, fault = {'slip': 'bias'}.get(one.kind, one.kind), float(self.faults()[0][i])
+        self._raise(i, name, one.begin, fault, confidence=share)
 
     def _begin(self, one: Hypothesis) -> FaultFilter:
         """Filter of a fault of a reading that goes on."""
@@ -817,16 +824,16 @@ class SerialMonitor:
                 self.suspects = tuple(dict.fromkeys((*self.suspects, label, priors.CONTACT)))
                 continue
             sensor.level = True
-            fault, deviation = (float(part[i]) for part in self.faults())
+            fault = float(self.faults()[0][i])
             if excluded[i] > 0.0:
                 # The set bounds what a healthy arm shows, not how fast an offset is found.
-                self._raise(i, 'bias', now, fault, deviation, True)
+                self._raise(i, 'bias', now, fault, guaranteed=True)
                 continue
             self._evaluate_guarantee()
             guaranteed = self.guarantee is not None and bool(self.guarantee.exceeded[i])
             sensor.unproved = not guaranteed
             share = 1.0 / (1.0 + math.exp(-odds))
-            self._raise(i, 'bias', 0.0, fault, deviation, guaranteed, share)
+            self._raise(i, 'bias', 0.0, fault, guaranteed=guaranteed, confidence=share)
         self._mark_suspects()
         return Stage.END
 
@@ -980,9 +987,8 @@ class SerialMonitor:
         if self.healthy is None:
             return
         self.guarantee = self.healthy.evaluate()
-        sigma = self.estimator.level.sigma
         for i, sensor in enumerate(self.sensors):
             if sensor.active and sensor.unproved and self.guarantee.exceeded[i]:
                 size = float(self.guarantee.estimate[i])
                 sensor.unproved = False
-                self._raise(i, 'bias', sensor.onset, size, float(sigma[i]), True)
+                self._raise(i, 'bias', sensor.onset, size, guaranteed=True)
