@@ -19,6 +19,7 @@ from lpv.core.serial_arm.diagnosis.contact import force_levers, tip_jacobians
 from lpv.core.serial_arm.diagnosis.estimator import DISTRUST
 from lpv.core.serial_arm.diagnosis.information import ROBUST, recent
 from lpv.core.serial_arm.diagnosis.lines import BEND
+from lpv.core.serial_arm.diagnosis.monitor import SerialMonitor
 from lpv.core.serial_arm.diagnosis.priors import FAULT_AT_START
 from lpv.core.serial_arm.diagnosis.published_rates import rate_lag
 from lpv.core.serial_arm.diagnosis.sampler import CONTRARY, HIDDEN, NOISY, SPIKE, STEP, new_sampler
@@ -77,6 +78,18 @@ def test_given_an_offset_then_its_confidence_is_its_probability_beside_torques(m
     fault = Fault('encoder2', 'bias', 0.0, size=0.5)
     (alarm,) = watched(shoulder_arm(), fault, duration=3.0).alarms
     assert alarm.confidence == pytest.approx(1.0 / (1.0 + np.exp(-odds)))
+
+
+def test_given_a_frozen_reading_then_its_confidence_is_its_probability_beside_brakes(monkeypatch):
+    left = 5.0  # less than its evidence against a joint at rest
+
+    def brakes(_, i, found):
+        return max(one.gain for one in found if one.seen and one.joint == i) - left
+
+    monkeypatch.setattr(SerialMonitor, '_brakes', brakes)
+    alarm, *_ = watched(shoulder_arm(), Fault('encoder2', 'stuck', 4.0), duration=6.0).alarms
+    assert alarm.kind == 'stuck'
+    assert alarm.confidence == pytest.approx(1.0 - np.exp(-left))
 
 
 @RATES

@@ -532,7 +532,7 @@ class SerialMonitor:
         seen = self._seen(found)
         self._suspected[:] = 0.0
         if seen is not None:
-            self._blame(seen, 1.0 - math.exp(-seen.gain), now)
+            self._blame(*seen, now)
         elif self.bank.statistic < self._state['threshold']:
             self._see_nothing_wrong()
             self._hold(found, now)
@@ -579,8 +579,8 @@ class SerialMonitor:
         sensor.peak = 0.0  # it never was as large as the other one
         self._raise(i, 'bias', sensor.onset, left)
 
-    def _seen(self, found: Compared) -> Hypothesis | None:
-        """What explains a reading that froze, if balances say that its joint went on.
+    def _seen(self, found: Compared) -> tuple[Hypothesis, float] | None:
+        """What explains a reading that froze, if balances say that its joint went on; confidence.
 
         That it froze, out of motion or without its noise, is evidence of its own: a push or another
         fault would have to come within the same few seconds.  Brakes stop readings as well: where
@@ -597,7 +597,8 @@ class SerialMonitor:
             if still[one.joint] == still[best.joint]:
                 together[one.joint] = max(one.gain, together.get(one.joint, 0.0))
         brakes = self._brakes(best.joint, finite)
-        return best if sum(together.values()) - brakes > self._sure else None
+        gain = min(best.gain, sum(together.values()) - brakes)
+        return (best, 1.0 - math.exp(-gain)) if gain > self._sure else None
 
     def _brakes(self, i: int, found: list[Hypothesis]) -> float:
         """What brakes explain that stopped the joint of reading i; 0 where no other one moved."""
