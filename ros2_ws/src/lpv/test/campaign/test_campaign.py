@@ -18,7 +18,7 @@ from lpv import Alarm, AlarmEvent, ConfigError, Fault, load_arm, save_gains
 from lpv.campaign.execution import execute
 from lpv.campaign.execution.execute import WorkerError, chunks_of, worker_pool
 from lpv.campaign.execution.run_metrics import figures
-from lpv.campaign.execution.runs import plan_run, run_one
+from lpv.campaign.execution.runs import plan_run, repeat, run_one
 from lpv.campaign.plan import spec
 from lpv.campaign.plan.campaign import Campaign, resolve
 from lpv.campaign.plan.random_paths import random_path
@@ -194,6 +194,12 @@ def test_given_factors_when_a_run_is_planned_then_each_arrives_where_it_acts():
     assert list(scenario.faults) == faults
     plan.gains.check_arm(plan.arm)
     assert len(plan.simulate().time) == 751
+
+
+def test_given_a_range_of_delays_when_run_then_the_row_has_the_simulated_one():
+    late = resolved('{command_delay: {low: 2.4, high: 2.45}}', duration=0.5)
+    plan, _, row = repeat(late, 0)
+    assert row['command_delay'] == plan.transport.delay == 2
 
 
 def test_given_no_factors_when_run_then_it_is_the_shipped_scenario_reseeded(paper_arm, two_faults):

@@ -40,7 +40,7 @@ class RunPlan:
     @property
     def transport(self) -> Transport:
         """How late commands are, and how many measurements are lost."""
-        return Transport(round(self.values['command_delay']), self.values['sample_loss'])
+        return Transport(int(self.values['command_delay']), self.values['sample_loss'])
 
     def simulate(self, faults: bool = True) -> Run:
         """Run the closed loop; ``faults=False``: its healthy twin."""

@@ -133,6 +133,8 @@ class Campaign:
         kind_first = sorted(units, key=lambda name: name != 'fault.kind')
         for name in kind_first:
             values[name] = self.spec.factors[name].value(units[name], values['fault.kind'])
+        # Counts samples; a range gives any number.
+        values['command_delay'] = float(round(values['command_delay']))
         return values
 
     def check(self) -> None:
