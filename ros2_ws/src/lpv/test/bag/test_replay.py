@@ -1,8 +1,11 @@
+import errno
 import math
+import os
 import re
 import shutil
 import struct
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +24,7 @@ from lpv.bag.errors import BagError
 from lpv.bag.replay.replay import Replay, ReplayResult, judge
 from lpv.bag.rosbag import reading, writing
 from lpv.bag.rosbag.messages import BagMessages
+from lpv.bag.rosbag.output_folder import replaced
 from lpv.bag.rosbag.reading import open_bag
 from lpv.bag.run import decoder
 from lpv.bag.run.record import STREAMS, RecordedAlarm, load_run
@@ -614,3 +618,25 @@ def test_given_bad_input_when_run_then_it_is_said(bag, tmp_path, monkeypatch, ca
     assert not (tmp_path / 'out' / 'gains.yaml').exists()
     told = "--arm: is needed: the bag is of arm 'crane', which is not a shipped one"
     assert refused(told, 'replay', tmp_path / 'out', '--out', tmp_path / 'again')
+
+
+def test_given_a_folder_that_must_stay_when_replaced_then_it_is_told(tmp_path, monkeypatch):
+    out = tmp_path / 'out'
+
+    def write_to(file):
+        with replaced(out) as new:
+            new.mkdir()
+            (new / file).touch()
+
+    def busy(call, path, *others, **options):  # as of a folder where a volume is mounted
+        if Path(path) == out:
+            raise OSError(errno.EBUSY, 'busy', str(path))
+        return call(path, *others, **options)
+
+    for file in ('first', 'second'):
+        write_to(file)
+    for name in ('rename', 'rmdir'):
+        monkeypatch.setattr(os, name, partial(busy, getattr(os, name)))
+    pytest.raises(ConfigError, write_to, 'third').match('out.*bag: cannot be replaced: .*busy')
+    assert [path.name for path in tmp_path.iterdir()] == ['out']
+    assert [path.name for path in out.iterdir()] == ['second']

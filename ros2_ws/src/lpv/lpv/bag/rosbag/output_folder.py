@@ -2,7 +2,6 @@
 
 import contextlib
 import os
-import shutil
 import tempfile
 from collections.abc import Iterator
 from itertools import count
@@ -36,8 +35,12 @@ def replaced(out: Path) -> Iterator[Path]:
     with folder as name:
         new = Path(name) / out.name
         yield new
-        shutil.rmtree(out, ignore_errors=True)
-        shutil.move(new, out)
+        try:
+            if os.path.lexists(out):
+                out.rename(new.with_name(f'{out.name}.old'))  # removed with the temporary folder
+            new.rename(out)
+        except OSError as error:
+            raise ConfigError('bag', f'cannot be replaced: {error}', str(out)) from error
 
 
 def read_run_file(path: str | Path, name: str) -> bytes:
