@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.serial_arm.diagnosis.alarms import (
@@ -74,8 +74,10 @@ def count_texts(counters: SampleCounters) -> list[str]:
 
 
 def unusable_text(counters: SampleCounters) -> str:
-    """That no measurement can be used, and what was wrong with samples; empty without counts."""
-    counts = '; '.join(count_texts(counters))
+    """That no measurement can be used, and the reasons; empty without any."""
+    # The others count times between measurements, and measurements that are used.
+    reasons = replace(counters, restarts=0, gaps=0, without_effort=0)
+    counts = '; '.join(count_texts(reasons))
     return f'{UNUSABLE}: {counts}' if counts else ''
 
 

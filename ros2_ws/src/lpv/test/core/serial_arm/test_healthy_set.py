@@ -352,3 +352,12 @@ def test_given_counts_of_samples_when_told_then_one_is_no_plural():
         '1 restart: the clock was set, or no measurement came for more than 1 s',
         '2 interruptions after which the balances begin anew',
     ]
+
+
+def test_given_counts_that_are_no_reasons_when_nothing_can_be_used_then_they_are_left_out():
+    counters = alarm_text.SampleCounters(restarts=1, gaps=2, without_effort=3)
+    assert alarm_text.unusable_text(counters) == ''
+    counters.duplicates, counters.unread = 5, 4
+    same, zeros, *others = alarm_text.unusable_text(counters).split('; ')
+    assert 'no measurement can be used: 5 measurements with the stamp of' in same
+    assert zeros.startswith('4 measurements of zeros alone') and others == []
