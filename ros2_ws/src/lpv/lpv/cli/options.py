@@ -117,7 +117,7 @@ rest...  passed on: --ros-args -p name:=value -r from:=to --params-file FILE
 recordings BAG|CSV+    recordings of the moving arm: rosbag2 folder, .mcap, .db3 or .csv
 --out ARM.yaml         arm file to write
 --report DIR           folder for the report with pictures
---name NAME            name of the arm (the URDF's)
+--name NAME            name of the arm (the URDF's, with that of the tip if it holds several arms)
 --base-rpy ROLL PITCH YAW:float[-6.3:6.3]  how the base is mounted, z up if not given [rad]
 --effort-unit {Nm,A}   unit of the efforts; A: gains are estimated
 --gain K:float+        joint torque per unit of effort, one for all joints or one each
@@ -190,7 +190,7 @@ bag                rosbag2 directory, MCAP or sqlite3 file
 """,
     'init': f"""write commented files of an arm to start from
 folder?      where the files are written (this folder)
---name NAME  name of the arm (the URDF's, or my_arm)
+--name NAME  name of the arm (the URDF's, with that of the tip if it holds several arms; or my_arm)
 --urdf URDF  URDF of the arm (xacro expanded)
 {_JOINTS}""",
     'urdf': """print the URDF of an arm

@@ -1,5 +1,6 @@
 import io
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -315,6 +316,7 @@ HOLDS = ['--lock left_finger=0.02 --lock right_finger',
          '--lock left_finger=0.02,right_finger', '--joints shoulder,elbow,wrist',
          '--joints shoulder elbow wrist', '--tip tool']  # fmt: skip
 HELD = HOLDS[-1].split()
+SIDES = 'tool', 'other tool'
 
 
 @pytest.mark.parametrize('options', HOLDS)
@@ -327,6 +329,22 @@ def test_given_a_gripper_when_held_then_the_arm_has_the_others_and_their_frictio
     assert friction == [(0.5, 0.25), (0.0, 0.0), (0.0, 0.0)]
     if '--tip' in options:
         assert arm.tip == (0.0, 0.0, 0.3)
+
+
+def test_given_two_arms_when_initialised_then_their_names_differ(init, tmp_path):
+    body, head = GRIPPER.split('<joint', 1)[0], GRIPPER.split('</robot>')[0]
+    links = ''.join(re.findall('(?s)<link.*?</link>', body)[1:])
+    joints = ''.join(re.findall('(?s)<joint.*?</joint>', GRIPPER))
+    other = re.sub('(name|link)="(?!base")', r'\1="other ', links + joints)
+    neck = jointed('base', 'neck', 0, 'continuous') + jointed('neck', 'face', 0, 'continuous')
+    names = []
+    for tip, more in (('tool', ''), ('tool', neck), *((side, other) for side in SIDES)):
+        arm, _ = init('--tip', tip, urdf=f'{head}{more}</robot>')
+        names.append((arm.name, arm.joint_names[0]))
+        shutil.rmtree(tmp_path / 'new')
+    alone, headed, *both = names
+    assert alone == headed == ('my_arm', 'shoulder')
+    assert both == [('my_arm_tool', 'shoulder'), ('my_arm_other_tool', 'other shoulder')]
 
 
 @pytest.mark.parametrize(('frames', 'tip', 'other', 'x'), [

@@ -61,7 +61,8 @@ def read_urdf_chain(
     Returns
     -------
     SerialArm
-        Sensors are named after the joints.
+        Sensors are named after the joints.  The name is the URDF's, followed by that of the tip
+        where the URDF holds another arm of as many joints or more.
 
     Raises
     ------
@@ -84,7 +85,7 @@ def read_urdf_ends(
     ``tip`` that with fewest locked joints before it, of several that with most links before it.
     """
     urdf = read_urdf_text(Path(path))
-    model, held, ends, place = _read_model(urdf, str(path), locked, joints, tip)
+    model, name, held, ends, place = _read_model(urdf, str(path), locked, joints, tip)
     if model.njoints == 1:
         raise ConfigError('urdf', 'has no joint that moves', str(path))
     if model.njoints - 1 > MAX_JOINTS:
@@ -92,11 +93,7 @@ def read_urdf_ends(
         raise ConfigError('urdf', f'{count}; {_CHOOSE}', str(path))
     described = tuple(_joint(model, i, urdf, str(path)) for i in range(1, model.njoints))
     arm = SerialArm(
-        name=model.name or 'arm',
-        joints=described,
-        tip=place,
-        urdf=str(path),
-        locked=tuple(sorted(held.items())),
+        name=name, joints=described, tip=place, urdf=str(path), locked=tuple(sorted(held.items()))
     )
     if (reach := _reach(arm)) > _LONGEST:
         raise ConfigError(
@@ -121,8 +118,8 @@ def _read_model(
     locked: Mapping[str, float] | None,
     joints: Sequence[str] | None,
     tip: str | None,
-) -> 'tuple[pinocchio.Model, dict[str, float], tuple[str, ...], tuple[float, float, float]]':
-    """Pinocchio's model of the joints that move, angles of the others, ends, place of the tip."""
+) -> 'tuple[pinocchio.Model, str, dict[str, float], tuple[str, ...], tuple[float, float, float]]':
+    """Pinocchio's model of the joints that move, name, angles of the others, ends, tip's place."""
     import pinocchio
 
     held = dict(locked or {})
@@ -169,6 +166,9 @@ def _read_model(
     last, ends = _ends(model, held)
     if tip is not None:
         ends = (tip, *(end for end in ends if end != tip))
+    name = model.name or 'arm'
+    if ends and _is_one_of_several(model, last, held):
+        name = f'{name}_{ends[0]}'
     place = pinocchio.SE3.Identity()
     if ends:
         data = model.createData()
@@ -185,7 +185,17 @@ def _read_model(
         model = pinocchio.buildReducedModel(
             model, [model.getJointId(name) for name in held], reference
         )
-    return model, held, ends, _triple(place.translation)
+    return model, name, held, ends, _triple(place.translation)
+
+
+def _is_one_of_several(model: 'pinocchio.Model', last: int, held: Mapping[str, float]) -> bool:
+    """Whether joints that are held are another arm: as many in a row, beside two or more."""
+    # Fewer are a head, wheels or a finger; grippers are behind the arm, lifts before it.
+    arm = {*model.supports[last]}
+    others = ({*model.supports[model.getJointId(name)]} for name in held)
+    return any(
+        2 <= sum(model.names[i] not in held for i in arm - way) <= len(way - arm) for way in others
+    )
 
 
 def _ends(model: 'pinocchio.Model', held: Mapping[str, float]) -> tuple[int, tuple[str, ...]]:
