@@ -5,7 +5,9 @@ import socket
 import time
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
+from types import SimpleNamespace
 
+import aiohttp
 import numpy as np
 import pytest
 import ros
@@ -15,6 +17,8 @@ from test_view_foxglove import Viewer, connect, decode
 from visualization_msgs.msg import MarkerArray
 
 from lpv_msgs.srv import ClearFaults
+from lpv_node.view.commands import Command
+from lpv_node.view.requests import Requests
 
 pytestmark = pytest.mark.ros
 ARM = f'arm_file:={BRINGUP / "arms" / "paper.yaml"}'
@@ -246,3 +250,32 @@ def test_given_a_view_for_others_when_opened_then_buttons_need_the_token(live, t
         assert not page.is_visible('#token-form')
         page.close()
         assert graph.stop() == {'view': 0}
+
+
+def test_given_a_view_that_is_not_active_when_a_button_is_pressed_then_it_is_refused(tmp_path):
+    domain = ros.next_domain()
+
+    async def press(page):
+        async with aiohttp.ClientSession() as session, session.ws_connect(f'{page}ws') as ws:
+            await ws.send_json({'type': 'reset', 'id': 1})
+            while 'message' not in (answer := await asyncio.wait_for(ws.receive_json(), 20.0)):
+                pass
+        return answer['message']
+
+    with ros.graph(tmp_path, domain) as graph, ros.client(domain) as client:
+        shown = View(graph, tmp_path, 'port:=0', 'foxglove_port:=0')
+        # Deactivate, activate.
+        for step, told in ((4, 'not active'), (3, 'uio/reset is not there')):
+            assert ros.change_state(client, 'view', step)
+            assert client.wait(lambda t=told: t in asyncio.run(press(shown.page)), 60.0)
+        ros.end(graph)
+
+
+def test_given_a_waiting_command_when_the_view_is_deactivated_then_it_is_dropped():
+    said = []
+    requests = Requests(SimpleNamespace(create_client=lambda *_: None))
+    requests.open(True)
+    assert requests.submit(Command('reset'), lambda *reply: said.append(reply)) and not said
+    requests.open(False)
+    assert [success for success, _ in said] == [False] and 'not active' in said[0][1]
+    requests.work()  # with nothing to do

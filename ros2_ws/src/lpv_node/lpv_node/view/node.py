@@ -120,10 +120,17 @@ class ViewNode(ManagedNode):
             self.get_logger().info(f'Foxglove: ws://{shown}:{ports[1]}')
 
     def begin(self) -> None:
-        """Subscribe."""
+        """Subscribe, take commands."""
         for inbox in self._inboxes:
             topic = inbox.topic
             self.create_subscription(topic.kind, topic.name, inbox.store, topic.qos, raw=True)
+        if self._requests is not None:
+            self._requests.open(True)
+
+    def end(self) -> None:
+        """Take no commands."""
+        if self._requests is not None:
+            self._requests.open(False)
 
     def teardown(self) -> None:
         """Close the ports."""

@@ -13,6 +13,8 @@ from lpv_msgs.srv import ClearFaults, InjectFault
 from lpv_node.view.access import MOST_CLIENTS
 from lpv_node.view.commands import Command, Reply
 
+_INACTIVE = 'the view node is not active: nothing was done'
+
 
 class Requests:
     """Calls the services of simulator and observer on behalf of the page, by a node's clients."""
@@ -26,13 +28,25 @@ class Requests:
         }
         self._incoming: queue.Queue[tuple[Command, Reply]] = queue.Queue(MOST_CLIENTS)
         self._pending: list[tuple[Client, Future, Reply, float]] = []
+        self._is_open = False
 
     def submit(self, command: Command, reply: Reply) -> bool:
-        """Queue a command, in the server's thread; False if too many are waiting."""
+        """Queue a command, or refuse it, in the server's thread; False if too many are waiting."""
+        if not self._is_open:
+            reply(False, _INACTIVE)
+            return True
         has_room = not self._incoming.full()  # nobody else puts anything
         if has_room:
             self._incoming.put_nowait((command, reply))
         return has_room
+
+    def open(self, is_open: bool) -> None:
+        """Whether commands are taken from now on; none that waits acts when nobody expects it."""
+        self._is_open = False
+        while not self._incoming.empty():
+            _, reply = self._incoming.get_nowait()
+            reply(False, _INACTIVE)
+        self._is_open = is_open
 
     def available(self) -> dict[str, bool]:
         """Whether each service is there, by name."""
