@@ -82,6 +82,15 @@ def test_given_faults_when_injected_and_one_is_cleared_then_the_other_stays(driv
     assert [drives.clear(sensor).cleared for sensor in ('link1_angle', '', '')] == [1, 1, 0]
 
 
+def test_given_a_simulator_that_is_not_active_when_faults_are_injected_then_none_waits(drives):
+    drives.clear('')
+    drives.node._leave()
+    response = drives.inject()
+    assert not response.success and response.message == 'arm_sim is not active: nothing was done'
+    drives.node._taking_part = True
+    assert drives.clear('').cleared == 0
+
+
 def test_given_an_answer_when_repeated_then_each_sample_is_left_by_one_step(drives):
     first = drives.good()
     drives.send(first)

@@ -40,11 +40,16 @@ await_recorders=0[0:100]  wait until each output has this many recorders before 
 
 
 def served(act: Callable[[Any, Any, Any], str]) -> Callable[[Any, Any, Any], Any]:
-    """A service's callback, whose answer is what a method says it did; LpvError: why it did not."""
+    """A service's callback, whose answer is what a method says it did; LpvError: why it did not.
+
+    Nodes that are not active refuse: what was asked for would act when nobody expects it.
+    """
 
     @functools.wraps(act)
     def answer(node: Any, request: Any, response: Any) -> Any:
         try:
+            if not node._taking_part:
+                raise LpvError(f'{node.get_name()} is not active: nothing was done')
             response.message, response.success = act(node, request, response), True
             node.get_logger().info(f'{act.__name__.removeprefix("_on_")}: {response.message}')
         except LpvError as error:
