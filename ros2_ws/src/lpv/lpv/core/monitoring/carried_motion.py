@@ -105,11 +105,8 @@ def carry(motion: CarriedMotion, i: int, predicted: float, missed: float, interv
 
     Of accelerations a share is ``predicted`` by torques, the rest has the variance ``missed``.
     """
-    kept, half, own = (
-        math.exp(-interval / priors.STEADY_FOR),
-        0.5 * interval**2,
-        motion.covariance[i],
-    )
+    kept = math.exp(-interval / priors.STEADY_FOR)
+    half, own = 0.5 * interval**2, motion.covariance[i]
     whole = predicted * motion.acceleration[i] + motion.missed[i]
     motion.missed[i] *= kept
     for j in range(3):  # F P

@@ -370,12 +370,9 @@ class Bank:
         unknown = mass[:, :, faulty] * priors.USUAL_RATE * estimator.balance.scale[faulty]
         change = np.concatenate([change, unknown], axis=2)
         estimator.call(set_residuals, estimator.window, estimator.posterior, last)
-        found = []
+        found, slowly = [], round(priors.STEADY_FOR / plan.interval) + 1
         for stop in stops:
-            for count in (
-                ONSET,
-                round(priors.STEADY_FOR / plan.interval) + 1,
-            ):  # dead, or within a time
+            for count in (ONSET, slowly):  # dead, or within a time
                 stopped = np.arange(stop, min(stop + count, last))  # each with a size of its own
                 columns = np.zeros((stopped[-1] + 1, n, len(stopped), change.shape[2]))
                 columns[stopped, :, np.arange(len(stopped))] = change[stopped]
@@ -593,13 +590,11 @@ class Bank:
         gain = 0.5 * (offset**2 / variance - np.log(estimator.prior[joint] ** 2 / variance))
         best = -math.inf
         estimator.call(set_residuals, window, without, last)
+        throughout = changing, last, math.log(priors.FAULT_AT_START)
         for levers in self._levers(last):
             begun, prior = self._begun(levers, without)
             begins = [(courses, begun, prior) for courses in self._outside.horizon]
-            for courses, count, likely in (
-                (changing, last, math.log(priors.FAULT_AT_START)),
-                *begins,
-            ):
+            for courses, count, likely in (throughout, *begins):
                 (one,) = smooth_contacts((courses,), levers[:count], window, without)
                 best = max(best, one + likely)
         return float(gain) - best

@@ -268,9 +268,8 @@ def compare_drifts(
                 goes_on = at >= 0 and math.isfinite(size)
             if goes_on:
                 trial, older = every[t], count - 1 - int(start[BACK])
-                step = math.copysign(
-                    0.1 * max(abs(size), priors.SLOW_RATE * own.scale[joint]), size
-                )
+                slow = priors.SLOW_RATE * own.scale[joint]
+                step = math.copysign(0.1 * max(abs(size), slow), size)
                 trial[BEGIN], trial[BACK] = start[BEGIN], start[BACK]
                 for k in range(2):
                     onset = start[BEGIN], older

@@ -76,9 +76,8 @@ def typical_torque(chain: Chain, scale: FloatArray) -> FloatArray:
     model, poses = SerialModel(chain), np.pi * scale * _spread(len(scale))
     gravity = np.mean(model.gravity(poses) ** 2, axis=0)
     inertia = np.mean([np.diag(model.mass_matrix(q)) for q in poses], axis=0)
-    friction = np.abs(chain.friction[:, VISCOUS]) * priors.USUAL_RATE * scale + np.abs(
-        chain.friction[:, DRY]
-    )
+    friction = np.abs(chain.friction[:, VISCOUS]) * priors.USUAL_RATE * scale
+    friction += np.abs(chain.friction[:, DRY])
     return np.sqrt(gravity + (priors.USUAL_ACCELERATION * scale * inertia) ** 2 + friction**2)
 
 

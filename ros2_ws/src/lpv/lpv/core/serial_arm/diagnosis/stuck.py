@@ -195,9 +195,8 @@ def free_course(
         return -math.inf, 0.0, 0.0  # a fault that is followed ran away
     way, found = np.append(1.0, step * np.arange(last, 0.0, -1.0))[None], []
     for larger in priors.ACCELERATIONS if moves else (0.0,):
-        walk = _walk(
-            last, larger * priors.USUAL_ACCELERATION * step, priors.SLOW_RATE if moves else 0.0
-        )
+        slow = priors.SLOW_RATE if moves else 0.0
+        walk = _walk(last, larger * priors.USUAL_ACCELERATION * step, slow)
         sizes = scale * np.append(priors.OFFSET_PRIOR, walk)
         gain, fault, variance = _likely(information, pull, sizes, way)
         found.append((gain - math.log(max(larger, 1.0)), float(fault[0]), variance[0, 0] ** 0.5))
