@@ -205,6 +205,10 @@ class ManagedNode(LifecycleNode):
         nodes = {(r.node_namespace, r.node_name, *r.endpoint_gid[:12]) for r in others}
         return publisher.get_subscription_count() - len(readers) + len(nodes)
 
+    def count_publishers(self, topic_name: str) -> int:
+        """As rclpy does, which forgets that the name may be remapped."""
+        return super().count_publishers(self.resolve_topic_name(topic_name))
+
     def elapsed(self) -> int:
         """A time that only differences of count [ns]: that of /clock if it is used, or steady."""
         clock = self.get_clock()

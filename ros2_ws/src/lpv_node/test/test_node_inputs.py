@@ -5,6 +5,7 @@ import re
 import numpy as np
 import pytest
 import rclpy
+import ros
 from builtin_interfaces.msg import Time
 from hostile import answers_to
 from rcl_interfaces.msg import Parameter as ParameterMessage
@@ -174,3 +175,14 @@ def test_given_a_jump_that_nobody_contradicts_or_a_gripper_when_heard_then_it_is
     assert sender.others(10.0) == 0
     assert all(stream_of(sender, [10.0], [3.0, 0.5]))
     assert not any(stream_of(sender, [10.002], [1.0, 0.5]))
+
+
+def test_given_a_remapped_topic_when_publishers_are_counted_then_those_that_are_heard_are():
+    remap = ['--ros-args', '-r', 'joint_states:=/robot/joint_states']
+    rclpy.init(args=remap, domain_id=ros.next_domain())
+    node = managed.ManagedNode('probe', ())
+    node.create_publisher(Time, '/robot/joint_states', 1)
+    counts = [node.count_publishers(name) for name in ('joint_states', '/robot/joint_states')]
+    node.destroy_node()
+    rclpy.shutdown()
+    assert counts == [1, 1]
