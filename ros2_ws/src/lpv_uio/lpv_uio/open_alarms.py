@@ -2,6 +2,7 @@
 
 import json
 import os
+from contextlib import suppress
 from pathlib import Path
 
 from rclpy.logging import get_logging_directory
@@ -47,7 +48,8 @@ class OpenAlarms:
     def forget(self) -> None:
         """Forget all: the observer ends in order, or was reset by an operator."""
         self.before = self._open = {}
-        self._path.unlink(missing_ok=True)
+        with suppress(OSError):  # it was not written either, as `note` has said
+            self._path.unlink()
 
 
 def _read(path: Path) -> dict[str, str]:

@@ -491,6 +491,13 @@ def test_given_a_file_of_alarms_that_is_none_when_read_then_it_does_no_harm(tmp_
     assert 'link2_angle' in OpenAlarms(path).before
 
 
+def test_given_a_disk_that_takes_no_alarms_when_reset_then_the_observer_goes_on(arm, tmp_path):
+    (tmp_path / 'file').touch()
+    arm.node._alarms = OpenAlarms(tmp_path / 'file' / 'alarms.json')
+    arm.node._log(alarm())
+    assert arm.node._on_reset(None, SimpleNamespace()).success and not arm.node._alarms.before
+
+
 STAMP = 3_000_000_007
 ALARM = {'sensor': 'link2_angle', 'sensor_index': 1, 'event': 0, 'onset': 1_000_000_000,
          'detected': 2_500_000_000, 'size': 0.3, 'bound': 0.01, 'kind': 'bias',
