@@ -14,7 +14,7 @@ from lpv.core.serial_arm.dynamics.model import SerialModel
 from lpv.core.support.entries import entry, part, positive
 from lpv.core.support.errors import ConfigError, UnreachableError
 from lpv.core.support.jit import njit
-from lpv.core.support.limits import FAR
+from lpv.core.support.limits import FAR, MOST_ENTRIES
 from lpv.core.uio.model.kinematics import ELBOWS, forward, inverse, refuse_singular
 from lpv.core.uio.planar import planar_links, plane_of
 
@@ -23,8 +23,9 @@ SMALLEST_MANIPULABILITY = 0.02
 singularity, where the reduced speed of ISO 10218, 0.25 m/s, needs rates of 12 rad/s [m/rad]."""
 _SPACING = 0.04
 """Time between the poses that inverse kinematics solves [s]."""
-_MOST_POSES = 2001
-"""Poses that inverse kinematics solves at most; limits are checked at so many points."""
+_MOST_POSES, _BETWEEN = 2001, 8
+"""Poses that inverse kinematics solves at most; limits are checked at so many points.  Both are
+more where that leaves less than so many from one waypoint to the next."""
 _POINTS, _LEAST_POINTS = 100, 500
 """Points in the plane that are solved between two waypoints, and of a path at least: between them
 positions of shipped paths err by 1e-12 rad, accelerations by 1e-8 rad/s2, and rounding by less."""
@@ -90,6 +91,11 @@ def _checked(
     return knots, values
 
 
+def _between(knots: FloatArray, count: int) -> FloatArray:
+    """So many times from each to the next, and the last one."""
+    return np.append(np.linspace(knots[:-1], knots[1:], count, endpoint=False).T, knots[-1])
+
+
 def _rest_to_rest(knots: FloatArray, points: FloatArray) -> Any:
     """Spline through points, shape (m, n), at times, shape (m,) [s].
 
@@ -137,7 +143,8 @@ class SerialPath:
         self.start, self.end = float(knots[0]), float(knots[-1])
         self._spline = _rest_to_rest(knots, values)
         self._rate, self._bend = self._spline.derivative(1), self._spline.derivative(2)
-        self._check_limits(arm)
+        checked = max(_MOST_POSES, _BETWEEN * min(len(knots), MOST_ENTRIES))
+        self._check_limits(arm, _between(knots, -(-checked // len(knots))))
 
     @classmethod
     def through_poses(
@@ -155,7 +162,8 @@ class SerialPath:
         knots, points = _checked(times, waypoints.positions, 3, 'coordinates x, y and z')
         if len(waypoints.start) != len(arm.joints):
             raise ConfigError('path.start', f'must have {len(arm.joints)} joint positions')
-        count = min(1 + max(8, round((knots[-1] - knots[0]) / _SPACING)), _MOST_POSES)
+        most = max(_MOST_POSES, 1 + _BETWEEN * (len(knots) - 1))
+        count = min(1 + max(_BETWEEN, round((knots[-1] - knots[0]) / _SPACING)), most)
         grid = np.linspace(knots[0], knots[-1], count)
         tips, turns = _rest_to_rest(knots, points)(grid), _orientations(knots, waypoints, grid)
         limits = np.array([(joint.limits.lower, joint.limits.upper) for joint in arm.joints]).T
@@ -166,9 +174,9 @@ class SerialPath:
             solved.append(q)
         return cls(arm, grid.tolist(), solved)
 
-    def _check_limits(self, arm: SerialArm) -> None:
-        """ConfigError if a limit of a joint is exceeded at one of many times."""
-        motion = self.sample(np.linspace(self.start, self.end, _MOST_POSES))
+    def _check_limits(self, arm: SerialArm, times: FloatArray) -> None:
+        """ConfigError if a limit of a joint is exceeded at one of some times."""
+        motion = self.sample(times)
         rows = motion.position, motion.velocity, motion.acceleration
         rate, torque = np.abs(motion.velocity), np.abs(SerialModel(self._chain).torque(*rows))
         for i, joint in enumerate(arm.joints):
@@ -241,7 +249,7 @@ class CartesianPath(SerialPath):
         self._offset = np.array([-np.pi / 2 - self._arm.zero_angle, 0.0])
         self._line = _rest_to_rest(knots, points)
         count = max(_POINTS, -(-_LEAST_POINTS // (len(knots) - 1)))
-        grid = np.append(np.linspace(knots[:-1], knots[1:], count, endpoint=False).T, knots[-1])
+        grid = _between(knots, count)
         tip = self._line(grid)
         q = inverse(tip, self._arm.lengths, waypoints.elbow) + self._offset
         refuse_singular(q)

@@ -73,6 +73,16 @@ def test_given_what_makes_no_path_then_joint_or_field_is_named(reason, times, jo
         SerialPath(with_joints(ARM, 0, limits=limits), times, joints)
 
 
+def test_given_a_long_path_when_it_turns_at_each_waypoint_then_limits_and_tip_are_kept():
+    times, back = np.arange(2001.0), np.arange(2001)[:, None] % 2
+    slow = with_joints(ARM, 0, limits=JointLimits(-2.5, 2.5, 1.0, 60.0))
+    with pytest.raises(ConfigError, match=r'needs 1\.64 rad/s of joint1'):
+        SerialPath(slow, times, back * [1.0, 0.0, 0.0] + JOINTS[0])
+    tips = REACHED[0] + back[:1001] * [0.0, 0.1, 0.05]
+    path = SerialPath.through_poses(ARM, 2.0 * times[:1001], PoseWaypoints(tips.tolist(), START))
+    np.testing.assert_allclose(path.sample(times + 0.5).tip[:, 0], REACHED[0][0], atol=1e-6)
+
+
 DATA = yaml.safe_load("""
 name: test
 duration: 5.0
