@@ -128,6 +128,21 @@ def test_given_more_noise_then_proof_and_floats_refute_the_covariance(planar, ga
     assert len(checks) == 2 and not all(check.holds for check in checks)
 
 
+def test_given_slopes_that_change_in_a_sample_then_constant_ones_prove_nothing(planar, gains):
+    arm = replace(planar, sample_time=0.1, cos_min=(0.75, 0.75))
+    link = error_system.link_errors(arm)[0]
+    kappa, unit = 33.2 / link.slopes[1], np.diag([1.0, 3.32 * link.inertia / link.slopes[1]])
+    lyapunov = np.stack([unit @ [[0.306, 0.102], [0.102, 4.266]] @ unit] * 2)
+    observer = replace(
+        gains.observer, kappa=np.full(2, kappa), mu=np.full(2, 12.67), lyapunov=lyapunov
+    )
+    claims = dict(conditions.observer_inequalities(arm, observer))
+    matrices = claims['observer, link 1: sampled recursion contracts']
+    inverse = np.linalg.inv(unit)
+    worst = [np.linalg.eigvalsh(inverse @ m @ inverse)[-1] for m in matrices]
+    assert [one < 0.0 for one in worst] == [True, False, True, True]
+
+
 def test_given_the_proof_when_compared_with_floats_then_constants_and_vertices_agree(planar):
     numbers, constants = planar.numbers(Fraction), planar.constants()
     for name, value in numbers._asdict().items():

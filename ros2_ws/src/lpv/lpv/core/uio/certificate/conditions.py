@@ -77,8 +77,8 @@ def observer_inequalities(
     ``exact``, link by link: disc for the error's poles, a common quadratic function for the sampled
     Heun recursion, real poles, which the comparison system of the error bound needs, and P^-1 as a
     bound of the error's covariance under the noise that the arm file states.  These are affine in
-    the slope, and the last one convex in Xi12, so that the ends of both prove them for every slope
-    in between, constant or changing.
+    the slope, the recursion in those at both ends of a step, and the last one convex in Xi12: what
+    holds at all ends holds for every slope in between, constant or changing.
     """
     if isinstance(observer, PaperObserverGains):
         array, d = array_of(number), paper_descriptor(arm, observer.box, number)
@@ -100,7 +100,7 @@ def observer_inequalities(
         kappa, mu = number(observer.kappa[i]), number(observer.mu[i])
         p = _lyapunov(observer.lyapunov[i], number)
         closed = [link.closed(slope, kappa, mu) for slope in link.slopes]
-        sampled = [heun(n, dt) for n in closed]
+        sampled = [heun(*ends, dt) for ends in product(closed, closed)]
         yield f'{name}: P > 0 and symmetric', [-p]
         poles = f'{name}: poles between {observer.decay:g} and {observer.fastest:g}/s'
         yield poles, [disc(p, p @ n, q, r) for n in closed]
@@ -131,9 +131,9 @@ def observer_checks(arm: ArmParameters, observer: ObserverGains) -> Iterator[Che
     yield Check('observer: standard deviation of f^ as recomputed', away - SAME)
 
 
-def heun(n: np.ndarray, dt: Any) -> np.ndarray:
-    """Matrix of one Heun step of x' = N x."""
-    return np.eye(len(n), dtype=int) + dt * n + dt**2 / 2 * (n @ n)
+def heun(begin: np.ndarray, end: np.ndarray, dt: Any) -> np.ndarray:
+    """Matrix of one Heun step of x' = N x, with N at both ends of it."""
+    return np.eye(len(end), dtype=int) + dt / 2 * (begin + end) + dt**2 / 2 * (end @ begin)
 
 
 def controller_loop(
