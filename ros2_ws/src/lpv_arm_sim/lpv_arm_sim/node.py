@@ -168,9 +168,7 @@ class SimulatorNode(ManagedNode):
             self._publish()
             self.steady_timer(0.25, self._ask_again)
         else:
-            # Time that passed while the node was inactive is none of the arm's.
-            self._start = self.get_clock().now().nanoseconds - self._plant.step_count * self._period
-            self._first = self._start + self._plant.step_count * self._period
+            self._set_clock()
             self.get_logger().info(f'real time, {1.0 / self._arm.sample_time:.0f} Hz')
             self.steady_timer(self._arm.sample_time, self._tick)
 
@@ -178,6 +176,12 @@ class SimulatorNode(ManagedNode):
         """Stop stepping."""
         self._command = None
         self._begun = self._flowing = False
+
+    def _set_clock(self) -> None:
+        """The present sample is now: what passed, or was set, meanwhile is no time of the arm's."""
+        self._first = self.get_clock().now().nanoseconds
+        self._start = self._first - self._plant.step_count * self._period
+        self._command, self._answered = None, 0
 
     @property
     def _stamp(self) -> int:
@@ -239,7 +243,10 @@ class SimulatorNode(ManagedNode):
 
     def _tick(self) -> None:
         """Make the steps that are due; only while it is braked may the arm leave some out."""
-        behind = (self.get_clock().now().nanoseconds - self._stamp) // self._period
+        late = self.get_clock().now().nanoseconds - self._stamp
+        if late < -NANOSECONDS:  # nobody takes less for a clock that was set back
+            self._set_clock()
+        behind = late // self._period
         while behind > 0 and not self.finished:
             if self._reason is not None and behind > _CATCH_UP:
                 self._start += (behind - 1) * self._period

@@ -1,4 +1,5 @@
 from copy import deepcopy
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -8,7 +9,7 @@ from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
 from lpv.core.simulation.faults import MAX_FAULTS
-from lpv.core.support.timestamps import to_nanoseconds
+from lpv.core.support.timestamps import set_stamp, to_nanoseconds
 from lpv_arm_sim.node import SimulatorNode
 from lpv_msgs.msg import GroundTruth, TorqueCommand
 from lpv_msgs.srv import ClearFaults, InjectFault
@@ -100,6 +101,26 @@ def test_given_an_answer_when_repeated_then_each_sample_is_left_by_one_step(driv
     stamps = [to_nanoseconds(m.header.stamp) for m in drives.states.sent]
     assert np.diff(stamps).tolist() == [drives.node._period] * 3
     assert len(drives.node._clock_out.sent) == len(stamps)
+
+
+def test_given_a_clock_that_is_set_back_when_in_real_time_then_the_arm_goes_on(monkeypatch):
+    now = SimpleNamespace(nanoseconds=10**18)
+    with node_of(SimulatorNode, arm_file='paper', scenario_file='two_faults') as node:
+        states = node._joint_states_out = Output(JointState)
+        monkeypatch.setattr(node, 'get_clock', lambda: SimpleNamespace(now=lambda: now))
+        node.begin()
+        # Commands, none, and commands after the clock was set back.
+        for set_back, is_answered in ((0, True), (0, False), (3600 * 10**9, True)):
+            now.nanoseconds -= set_back
+            for _ in range(200):
+                now.nanoseconds += node._period
+                node._tick()
+                command = TorqueCommand(torque=[0.0, 0.0])
+                set_stamp(command.header.stamp, node._stamp)
+                if is_answered:
+                    node._on_command(command)
+            assert (node._reason is None) == is_answered
+        assert to_nanoseconds(states.last.header.stamp) == now.nanoseconds
 
 
 @pytest.mark.fuzz
