@@ -28,7 +28,7 @@ from lpv.core.monitoring.stamp_gate import StampGate
 from lpv.core.serial_arm.arm_file import load_arm
 from lpv.core.serial_arm.certificate.loop_gains import NO_CERTIFICATE, LoopGains
 from lpv.core.simulation.scenario import load_scenario
-from lpv.core.support.limits import PATIENCE, SMALL
+from lpv.core.support.limits import PATIENCE, QUIET, SMALL
 from lpv.core.support.options import Entry
 from lpv.core.support.timestamps import NANOSECONDS, to_nanoseconds
 from lpv.core.uio.certificate.gains import Gains
@@ -347,7 +347,11 @@ class TrackerNode(ManagedNode):
         """Stop safely when the observer is silent: the drives then brake."""
         now = self.elapsed()
         self._received = min(self._received, now)  # /clock may have been set back
-        if self._reason is None and self._is_silence(now - self._received):
+        silent = now - self._received
+        is_told = self._reason is StopReason.SILENCE or self._watchdog.latched
+        # Once stopped for another reason, an observer that is merely late is not called silent.
+        known = self._reason is None or silent > QUIET * NANOSECONDS
+        if not is_told and known and self._is_silence(silent):
             self._stop(StopReason.SILENCE)
         elif self._last is not None:
             self._report(self._last + now - self._received)

@@ -142,6 +142,17 @@ def test_given_clocks_set_back_when_estimates_end_then_the_arm_is_stopped(node, 
     assert stops == [False, False, True]
 
 
+@IN_REAL_TIME
+def test_given_a_stop_when_estimates_end_then_it_is_said(node, monkeypatch):
+    assert answers(node, (1,), trustworthy=False) == [True]
+    reasons = []
+    for later in (500_000_000, 1_500_000_000):
+        monkeypatch.setattr(node, 'elapsed', lambda later=later: node._received + later)
+        node._check_silence()
+        reasons.append(node._reason)
+    assert reasons == [StopReason.NOT_TRUSTWORTHY, StopReason.SILENCE]
+
+
 def test_given_gains_a_path_or_another_arms_scenario_when_configured_then_it_is_told(capfd):
     with tracker(bringup_file('gains', 'ur10')) as node:
         assert 'holds for joint rates to 0.6' in node._certificate
