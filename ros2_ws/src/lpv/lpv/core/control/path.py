@@ -256,6 +256,10 @@ class CartesianPath(SerialPath):
         self._check_clearance(tip)
         q[0, 0] = (q[0, 0] + np.pi) % (2.0 * np.pi) - np.pi
         q[:, 0] = np.unwrap(q[:, 0])  # atan2 jumps on the negative x-axis
+        # Where limits leave another turn, as 0 to 2 pi do, it is that.
+        middle = np.array([0.5 * (j.limits.lower + j.limits.upper) for j in arm.joints])
+        turns = np.round((middle - q[0]) / (2.0 * np.pi))
+        q += 2.0 * np.pi * np.where(np.isfinite(turns), turns, 0.0)
         super().__init__(arm, grid.tolist(), q)
 
     def _check_clearance(self, tip: FloatArray) -> None:

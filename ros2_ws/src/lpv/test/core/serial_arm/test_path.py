@@ -206,6 +206,16 @@ def test_given_either_elbow_then_q1_is_continuous_and_the_tip_one(paper_arm, pap
     assert negative.position[1] == pytest.approx(-positive.position[1], rel=1e-12)
 
 
+@pytest.mark.parametrize(('joint', 'low', 'elbow'), [(0, 5.0, 'positive'), (1, 0.0, 'negative')])
+def test_given_limits_that_leave_another_turn_then_the_path_takes_it(paper_arm, joint, low, elbow):
+    limits = replace(paper_arm.joints[joint].limits, lower=low, upper=low + 6.0)
+    turned = planar(with_joints(paper_arm, joint, limits=limits), elbow=elbow).sample(KNOTS)
+    usual = planar(paper_arm, elbow=elbow).sample(KNOTS)
+    turns = 2.0 * math.pi * np.eye(2)[joint]
+    np.testing.assert_allclose(turned.position - usual.position, [turns] * 3, atol=1e-9)
+    np.testing.assert_allclose(turned.tip, usual.tip, atol=1e-12)
+
+
 def test_given_bad_waypoints_or_a_path_for_no_arm_then_it_is_refused(paper_arm):
     planar(paper_arm, obstacle=paths.Obstacle((0.0, 1.9), 0.2))
     with pytest.raises(ConfigError, match='hits the obstacle'):
