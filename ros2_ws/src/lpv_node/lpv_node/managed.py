@@ -314,7 +314,7 @@ def _spin(node: ManagedNode, stop: StopRequest) -> int:
         executor.spin_once(timeout_sec=0.2)
     node.stopping()
     _drain(node, executor)
-    if node.lockstep:
+    if node.lockstep and node._of_setup:  # unconfigured, it has no outputs
         for publisher in node.outputs():
             # A reader that lags behind still needs this process to send again.
             publisher.wait_for_all_acked(Duration(seconds=2.0 * PATIENCE))

@@ -1,6 +1,8 @@
 import importlib
 import math
 import re
+import sys
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -186,3 +188,14 @@ def test_given_a_remapped_topic_when_publishers_are_counted_then_those_that_are_
     node.destroy_node()
     rclpy.shutdown()
     assert counts == [1, 1]
+
+
+@pytest.mark.parametrize('name', ['SimulatorNode', 'UioNode', 'TrackerNode'])
+def test_given_a_node_in_lockstep_when_stopped_before_it_is_configured_then_the_code_is_0(name):
+    (kind,) = (one for module in MODULES for one in [getattr(sys.modules[module], name, 0)] if one)
+    rclpy.init(args=ros.words('lockstep:=true', 'autostart:=false'), domain_id=ros.next_domain())
+    node, told = kind(), SimpleNamespace(is_set=True, defer=lambda: None)
+    code = managed._spin(node, told)
+    node.destroy_node()
+    rclpy.shutdown()
+    assert code == 0
