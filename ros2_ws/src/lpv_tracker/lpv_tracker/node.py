@@ -354,7 +354,9 @@ class TrackerNode(ManagedNode):
         if not is_told and known and self._is_silence(silent):
             self._stop(StopReason.SILENCE)
         elif self._last is not None:
-            self._report(self._last + now - self._received)
+            self._report(self._last + silent)
+        else:
+            self._report(self.get_clock().now().nanoseconds)
 
     def _is_silence(self, interval: int) -> bool:
         return not self.lockstep and interval > self._watchdog.silence

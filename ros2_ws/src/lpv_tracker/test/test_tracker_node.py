@@ -2,6 +2,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from diagnostic_msgs.msg import DiagnosticArray
 from hostile import RECOVERY, Output, Refused, forge, node_of, run_cases, set_parameters
 from rclpy.parameter import Parameter
 from std_srvs.srv import Trigger
@@ -143,7 +144,10 @@ def test_given_clocks_set_back_when_estimates_end_then_the_arm_is_stopped(node, 
 
 
 @IN_REAL_TIME
-def test_given_a_stop_when_estimates_end_then_it_is_said(node, monkeypatch):
+def test_given_no_estimates_when_none_came_yet_or_they_end_then_it_is_said(node, monkeypatch):
+    told = node._status.publisher = Output(DiagnosticArray)
+    node._check_silence()
+    assert told.last.status[0].message == 'safe stop: no estimates'
     assert answers(node, (1,), trustworthy=False) == [True]
     reasons = []
     for later in (500_000_000, 1_500_000_000):
