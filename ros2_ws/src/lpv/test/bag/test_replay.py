@@ -575,6 +575,7 @@ def test_given_bad_input_when_run_then_it_is_said(bag, tmp_path, monkeypatch, ca
         Path(f'{name}.yaml').write_text(text)
     for name, value in (others := {'max_gap': 0, 'initial_samples': 2.7}).items():
         Path(f'{name}.yaml').write_text(f'/**: {{ros__parameters: {{{name}: {value}}}}}')
+    Path('many.yaml').write_text(f'/**: {{ros__parameters: {{initial_samples: {10**6}}}}}')
     Path('old.bag').write_text('#ROSBAG V2.0\n')
     still, names = np.zeros((20, 2)), load_arm('paper').joint_names
     write_measurements('without_rates', names, 1.0 + 0.002 * np.arange(20), still + 1, None, still)
@@ -599,6 +600,7 @@ def test_given_bad_input_when_run_then_it_is_said(bag, tmp_path, monkeypatch, ca
         ('clear_dwell', {'parameters': 'tuned.yaml'}),
         ('diagnosis.sigma: is not a known parameter', {'parameters': 'misspelt.yaml'}),
         *((f'{name}: must', {'parameters': f'{name}.yaml'}) for name in (*wrong, *others)),
+        ('initial_samples: must lie within', {'parameters': 'many.yaml'}),
         ('somewhere exists already', {'out': 'somewhere'}),
         ('exists already', {'out': 'tuned.yaml'}),
         ('would overwrite', {'bag': 'somewhere/bag', 'out': 'somewhere'}),

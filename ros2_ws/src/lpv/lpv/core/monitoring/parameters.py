@@ -29,7 +29,8 @@ def given_values(section: Section, table: Iterable[Entry]) -> dict[str, Any]:
         if one.limits is None:
             found[one.name] = section.flag(one.name)
         elif one.kind is int:
-            found[one.name] = section.integer(one.name, low=1)
+            found[one.name] = section.integer(one.name)
+            section.number(one.name, None, *one.limits)
         else:
             found[one.name] = section.number(one.name, None, *one.limits)
     return found
