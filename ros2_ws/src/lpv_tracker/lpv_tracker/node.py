@@ -56,7 +56,8 @@ estimate_timeout=0.0[0:60]  real time only: safe stop when no estimate came for 
 max_latency=0.0[0:60]   real time only: safe stop when an estimate answers a measurement that is
                         older [s]; {FROM_GAINS}
 max_mean_latency=0.0[0:60]  real time only: safe stop when measurements that estimates answer are
-                        older on average over 0.1 s [s]; 0: in proportion to max_latency
+                        older on average over 0.1 s [s]; {FROM_GAINS}, or in proportion to a longer
+                        max_latency
 max_tracking_error={TrackerLimits.tracking_error}[0.01:10]  safe stop, until ~/resume is called,
                         when a joint is further from its reference for 0.05 s [rad]
 max_speed={TrackerLimits.speed}[0.01:1]  safe stop, until ~/resume is called, when a joint is faster
