@@ -134,7 +134,7 @@ class SimulatorNode(ManagedNode):
             'sensor_msgs/msg/JointState', 'base_link', measured, name=list(self._arm.joint_names)
         )
         truth = {name: now[name] for name in ('position', 'velocity', 'fault', 'disturbance')}
-        truth['torque'] = now['effort']
+        truth['torque'] = self._plant.state.torque
         self._truth_message = SerializedMessage('lpv_msgs/msg/GroundTruth', self._arm.name, truth)
 
     def _latency_limits(self) -> LatencyLimits:

@@ -9,6 +9,7 @@ from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
 from lpv.core.simulation.faults import MAX_FAULTS
+from lpv.core.support.resources import bringup_file
 from lpv.core.support.timestamps import set_stamp, to_nanoseconds
 from lpv_arm_sim.node import SimulatorNode
 from lpv_msgs.msg import GroundTruth, TorqueCommand
@@ -101,6 +102,19 @@ def test_given_an_answer_when_repeated_then_each_sample_is_left_by_one_step(driv
     stamps = [to_nanoseconds(m.header.stamp) for m in drives.states.sent]
     assert np.diff(stamps).tolist() == [drives.node._period] * 3
     assert len(drives.node._clock_out.sent) == len(stamps)
+
+
+def test_given_efforts_in_another_unit_when_simulated_then_the_truth_has_torques(tmp_path):
+    text = bringup_file('arms', 'paper').read_text().replace('torque_gain: 1.0', 'torque_gain: 2.0')
+    (tmp_path / 'arm.yaml').write_text(text)
+    given = {'arm_file': tmp_path / 'arm.yaml', 'scenario_file': 'two_faults', 'lockstep': 'true'}
+    with node_of(SimulatorNode, **given) as node:
+        drives = Drives(node)
+        command = drives.good()
+        command.torque = [30.0, -4.0]
+        node._on_command(command)
+        assert list(node._truth_out.last.torque) == [30.0, -4.0]
+        assert list(drives.states.last.effort) == [15.0, -2.0]
 
 
 def test_given_a_clock_that_is_set_back_when_in_real_time_then_the_arm_goes_on(monkeypatch):

@@ -11,6 +11,7 @@ import yaml
 from bag_messages import CHATTER, JOINT_STATE, STRING, TYPESTORE, cdr, text
 from bags import write_bag, write_by_rosbags
 from campaign_files import GAINS, UR10, command, rows_of, spec, written
+from fault_injection import with_joints
 
 from lpv import Alarm, AlarmEvent, ConfigError, load_arm, load_gains, load_scenario
 from lpv.bag.rosbag.messages import BagMessages
@@ -18,7 +19,13 @@ from lpv.bag.run.record import load_run
 from lpv.campaign.execution import archive as archives
 from lpv.campaign.execution import run_metrics
 from lpv.campaign.execution.archive import Archive, archive_text, find_bags, unit_of
-from lpv.campaign.execution.run_to_bag import START, differences, stamps_of, write_run_bag
+from lpv.campaign.execution.run_to_bag import (
+    START,
+    differences,
+    stamps_of,
+    write_run_bag,
+    write_signals,
+)
 from lpv.campaign.execution.runs import plan_run
 from lpv.campaign.plan.campaign import resolve
 from lpv.cli.main import main
@@ -92,6 +99,15 @@ def test_given_a_run_when_written_as_a_bag_then_all_but_lost_samples_are_there(d
     position, velocity = (record.get('reference', name) for name in ('position', 'velocity'))
     rate = np.gradient(position, record.seconds(record.stamps['reference']), axis=0)
     np.testing.assert_allclose(rate[50:-50], velocity[50:-50], atol=5e-3)
+
+
+def test_given_efforts_in_another_unit_when_written_as_a_bag_then_the_truth_has_torques(
+    done, tmp_path
+):
+    plan, run, _ = done
+    write_signals(with_joints(plan.arm, 0, torque_gain=2.0), run, tmp_path / 'bag')
+    torque = load_run(tmp_path / 'bag').get('ground_truth', 'torque')
+    np.testing.assert_array_equal(torque, run.effort * [2.0, 1.0])
 
 
 def test_given_a_run_when_replayed_with_its_files_then_every_bit_is_same(done, tmp_path, call):
