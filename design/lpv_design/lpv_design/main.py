@@ -70,13 +70,13 @@ def _loop_request(arm: SerialArm, arguments: argparse.Namespace) -> LoopRequest:
 def _finish(
     arguments: argparse.Namespace, gains: CertifiedGains, comment: list[str], lines: list[str]
 ) -> int:
-    """Write gains, say what was found and, if asked for, what is proved."""
-    gains.save(arguments.out, '\n'.join([*comment, *lines]))
+    """Say what was found and, if asked for, what is proved; write gains that are not refuted."""
     print('\n'.join(lines))
     results = gains.prove(arguments.arm) if arguments.proof else {}
     for name, holds in results.items():
         print(f'{"proved" if holds else "REFUTED"}: {name}')
     if not all(results.values()):
         return EXIT_INFEASIBLE
+    gains.save(arguments.out, '\n'.join([*comment, *lines]))
     print(f'gains written to {arguments.out}')
     return 0

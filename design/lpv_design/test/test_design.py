@@ -1,6 +1,7 @@
 from dataclasses import replace
 from functools import cache
 from itertools import product
+from types import SimpleNamespace
 
 import cvxpy as cp
 import numpy as np
@@ -21,7 +22,7 @@ from lpv.core.uio.model.joints import JointMap
 from lpv.core.uio.model.polytope import paper_descriptor, sinc_box, vertex_matrices
 from lpv.core.uio.observer.paper_observer import decoupling
 from lpv.identify.estimation.assembly import with_joint_values
-from lpv_design import controller, design_flow, exact_observer, serial_loop
+from lpv_design import controller, design_flow, exact_observer, main, serial_loop
 from lpv_design.corner_lyapunov import corner_lyapunov
 from lpv_design.paper_observer import PaperRequirement, solve_paper, undetectable_point
 from lpv_design.requirement import load_requirement
@@ -487,3 +488,10 @@ def test_given_a_serial_arm_when_verified_or_designed_then_all_is_told(call, ref
         assert refused('designed for another arm', 'verify', gains, '--arm', other)
     options = '--arm', 'ur10', '--requirement', 'paper', '--out', tmp_path / 'gains.yaml'
     assert refused('--requirement', 'design', *options)
+
+
+def test_given_gains_that_are_refuted_when_proved_then_they_are_not_written(capsys):
+    gains = SimpleNamespace(prove=lambda _arm: {'poles': False}, save=pytest.fail)
+    arguments = SimpleNamespace(arm=None, proof=True, out='gains.yaml')
+    assert main._finish(arguments, gains, [], []) == main.EXIT_INFEASIBLE
+    assert 'REFUTED: poles' in capsys.readouterr().out
