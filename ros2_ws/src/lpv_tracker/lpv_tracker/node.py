@@ -305,12 +305,17 @@ class TrackerNode(ManagedNode):
     def _has_lost_a_correction(self) -> bool:
         """Whether a correction from before a silence is gone: the observer was restarted.
 
-        The correction of the first estimate that is trusted is compared.
+        The correction of the first estimate that is trusted is compared; a loop that is closed on
+        the readings has none.
         """
         before, self._forgotten = self._forgotten, None
         self._used = self._measured - self._corrected
-        return before is not None and bool(
-            np.any((abs(before) > SMALL * self._scales) & (abs(self._used) < 0.5 * abs(before)))
+        return (
+            before is not None
+            and self._compensation != 'off'
+            and bool(
+                np.any((abs(before) > SMALL * self._scales) & (abs(self._used) < 0.5 * abs(before)))
+            )
         )
 
     def _restart(self) -> None:

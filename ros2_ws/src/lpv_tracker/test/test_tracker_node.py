@@ -108,6 +108,13 @@ def test_given_a_fault_forgotten_in_silence_then_it_waits(node, correction, scal
 
 
 @IN_REAL_TIME
+def test_given_a_loop_on_readings_when_a_fault_is_forgotten_then_it_goes_on(node):
+    node.set_parameters([Parameter('compensation', value='off')])
+    assert not answers(node, range(1, 10), correction=0.2)[-1]
+    assert not answers(node, range(409, 430))[-1]
+
+
+@IN_REAL_TIME
 @pytest.mark.parametrize('switches', [['confirmed', 'confirmed'], ['off', 'confirmed']])
 def test_given_a_correction_when_parameters_are_set_then_torques_do_not_leap(node, switches):
     torques, turns = [], dict(zip((60, 160), switches))
