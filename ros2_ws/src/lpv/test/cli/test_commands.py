@@ -13,10 +13,11 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from fault_injection import with_joints
+from fault_injection import Stream, derived, with_joints
 from places import BRINGUP, DATA, ROOT
 from rich.console import Console
 from serial_bags import ball_joint
+from watched import Watched
 
 from lpv import Fault, load_arm, load_scenario, save_gains
 from lpv.bag.replay.replay import InjectedFault
@@ -28,6 +29,7 @@ from lpv.cli.options import COMMANDS
 from lpv.core.export.urdf import arm_urdf
 from lpv.core.serial_arm.diagnosis.priors import MODEL_ERROR
 from lpv.core.serial_arm.two_links import two_link_arm
+from lpv.core.simulation.closed_loop import run_closed_loop
 from lpv.core.support.options import entries
 from lpv.core.support.signals import STOPS
 from lpv.core.uio.planar import planar_model
@@ -233,6 +235,21 @@ def test_given_a_serial_urdf_when_initialised_then_it_fits(tmp_path, init, name,
     assert (arm.name, len(arm.joint_names)) == ('bench', joints) and 'lpv demo --arm' in said
     path = load_scenario(tmp_path / 'new' / 'scenario.yaml').path(arm)
     assert np.ptp(path.sample(np.linspace(0.0, 12.0, 50)).position, axis=0).min() > 0.1
+
+
+@pytest.mark.parametrize(('name', 'seed'), [('panda', 3), ('ur10', 1)])
+def test_given_an_initialised_arm_when_slow_messages_hold_a_drives_noise_then_no_encoder_is_blamed(
+    tmp_path, init, name, seed
+):
+    arm, _ = init(urdf=(BRINGUP / 'urdf' / f'{name}.urdf').read_text())
+    scenario = load_scenario(tmp_path / 'new' / 'scenario.yaml')
+    changed = replace(scenario, faults=(), seed=seed, parameter_error=0.05, duration=4.0)
+    run, every = run_closed_loop(arm, changed), slice(None, None, 25)
+    stamps, signals = np.round(1e9 * run.time), (run.measured, run.measured_velocity, run.effort)
+    slow = derived(Stream(stamps.astype(np.int64)[every], np.stack(signals, 1)[every]))
+    monitor = Watched(replace(arm, sample_time=25 * arm.sample_time))
+    monitor.take(slow.stamps, slow.samples)
+    assert monitor.alarms == []
 
 
 def test_given_a_slow_lift_when_initialised_then_its_path_is_as_slow(tmp_path, init):

@@ -648,8 +648,7 @@ class SerialMonitor:
         outside *= math.exp(found.odds - every.odds)
         if outside >= 1.0 - wrong:
             self._contact.since = min(self._contact.since, now)
-            learned = len(self.estimator) * self.plan.interval > NOISE_KNOWN_AFTER
-            if learned and now - self._contact.since >= CONTACT_TIME:
+            if self._knows_noise and now - self._contact.since >= CONTACT_TIME:
                 self._report_contact(now)
             return
         self._contact.since = math.inf
@@ -667,12 +666,19 @@ class SerialMonitor:
             if explains_more and one.gain - self.bank.friction_gain() > self._sure:
                 self._change_load(one.begin, one.change)
         elif one.is_encoder:
-            if self.bank.excludes_contact(one, self.margin(one.kind)):
+            # What acts from outside is not told from unknown noise by balances alone.
+            told = self._knows_noise or self.sampler.derived[one.joint] == 0.0
+            if told and self.bank.excludes_contact(one, self.margin(one.kind)):
                 self._blame(one, share, now)
             else:
                 self.suspects = tuple(dict.fromkeys((*self.suspects, priors.CONTACT)))
         elif one.kind == 'rate_bias':
             self._blame_rate(one, share)
+
+    @property
+    def _knows_noise(self) -> bool:
+        """Whether the noise of balances has been learned; before, it is what the file expects."""
+        return len(self.estimator) * self.plan.interval > NOISE_KNOWN_AFTER
 
     def _hold(self, found: Compared, now: float) -> None:
         """Let bounds hold faults of encoders that are more probable than what lies beyond bounds.
