@@ -299,6 +299,10 @@ def off(error):
 
 MISTAKES = {
     'degrees': ('angle', 'degrees', changed(np.degrees, 'position', 'velocity'), None),
+    'rates in degrees': ('rates', 'two .* rates in degrees',
+                         changed(lambda v: v * [1, 57.3, 1], 'velocity'), None),
+    'rates of the other sign': ('rates', 'two .* rates that count the other way',
+                                changed(lambda v: v * [1, -1, 1], 'velocity'), None),
     'tilted base': ('gravity', 'about y by -5', lambda r: r, (0.0, 0.1, 0.0)),
     'mounted on a wall': ('gravity', 'about y by -(89|9[01])', lambda r: r, (0.0, np.pi / 2, 0.0)),
     'other sign': ('sign', 'efforts of two count', efforts(lambda u: u * [1, -1, 1]), None),

@@ -15,7 +15,7 @@ from lpv.core.serial_arm.chain import compile_chain
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.serial_arm.diagnosis.sampler import LATE
 from lpv.core.serial_arm.dynamics.model import SerialModel
-from lpv.core.serial_arm.rate_independence import contradicts, rate_source
+from lpv.core.serial_arm.rate_independence import contradicts, other_rates, rate_source
 from lpv.core.serial_arm.turns import Turns
 from lpv.core.support.errors import SampleError
 from lpv.core.support.limits import SMALL
@@ -204,23 +204,12 @@ def check_units(seen: Heard, arm: SerialArm) -> Finding | None:
         return None
     if said := other_unit(arm, *np.quantile(np.nan_to_num(position), ALMOST_ALL, axis=0)):
         return error('units', f'{topic}: {said}', _IN_RADIANS)
-    turns = np.array([not joint.is_prismatic for joint in arm.joints])
-    # Between samples the mean rate counts, so that sampling does not matter.
-    steps = np.diff(stamps)[:, None] / 1e9
-    moved, driven = np.diff(position, axis=0), 0.5 * (velocity[1:] + velocity[:-1]) * steps
-    known = np.isfinite(moved) & np.isfinite(driven)
-    moved, driven = np.where(known, moved, 0.0), np.where(known, driven, 0.0)
-    power = (driven**2).sum(axis=0)
-    far = turns & (np.abs(moved).sum(axis=0) >= SMALL) & (power > 0.0)
-    ratios = np.where(far, (moved * driven).sum(axis=0) / np.where(far, power, 1.0), 1.0)
-    for name, ratio in zip(arm.joint_names, ratios):
-        for factor, what in ((_DEGREES, 'positions'), (1 / _DEGREES, 'rates')):
-            if 0.7 < ratio / factor < 1.4:
-                text = f'{topic}: {name} moves {ratio:.3g} times as far as its rate says: '
-                return error('units', f'{text}{what} in degrees?', _IN_RADIANS)
+    if said := other_rates(arm, stamps, position, velocity):
+        return error('units', f'{topic}: {said}', _IN_RADIANS)
     # Torques that hold the arm fit gravity at its angles, in rad.
     known = np.isfinite(position).all(axis=1) & np.isfinite(effort).all(axis=1)
-    if not (turns.all() and arm.effort_includes_gravity and known.any()) or not effort[known].any():
+    turns = not any(joint.is_prismatic for joint in arm.joints)
+    if not (turns and arm.effort_includes_gravity and known.any()) or not effort[known].any():
         return None
     model = SerialModel(compile_chain(arm))
     torque = effort[known] * [joint.torque_gain for joint in arm.joints]

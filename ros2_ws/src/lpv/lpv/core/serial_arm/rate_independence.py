@@ -19,6 +19,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from lpv.core.serial_arm.description import SerialArm
 from lpv.core.support.limits import SMALL
 from lpv.core.support.timestamps import NANOSECONDS
 
@@ -46,6 +47,11 @@ _ROUNDED = 3.0
 """Power of the noise of a rate over that of its rounding, beyond which it has noise of its own."""
 _GAIN = 70.0
 """Power of white noise through fourth differences: 1 + 16 + 36 + 16 + 1."""
+
+_AVERAGED = 0.1
+"""Time over which ways and rates are compared: shorter ones may be noise and rounding alone [s]."""
+_FOLLOWS = 0.7
+"""Least correlation of ways with rates of which they follow."""
 
 
 @dataclass(frozen=True)
@@ -112,6 +118,30 @@ def _rounding(values: np.ndarray) -> float:
     multiples = changes / changes.min()
     whole = np.mean(np.abs(multiples - np.round(multiples)) < 0.05)
     return float(changes.min()) if whole > 0.95 else 0.0
+
+
+def other_rates(
+    arm: SerialArm, stamps: np.ndarray, position: np.ndarray, velocity: np.ndarray
+) -> str:
+    """Rates in another unit than positions, or of the other sign, as text; empty if none are."""
+    # Between samples the mean rate counts, so that sampling does not matter; noise is averaged.
+    steps = np.diff(stamps)[:, None] / NANOSECONDS
+    moved, driven = np.diff(position, axis=0), 0.5 * (velocity[1:] + velocity[:-1]) * steps
+    known = np.isfinite(moved) & np.isfinite(driven)
+    starts = np.unique(np.searchsorted(np.cumsum(steps), np.arange(0.0, steps.sum(), _AVERAGED)))
+    moved, driven = (np.add.reduceat(np.where(known, x, 0.0), starts) for x in (moved, driven))
+    far = np.abs(moved).sum(axis=0) >= SMALL
+    power, product = (driven**2).sum(axis=0), (moved * driven).sum(axis=0)
+    follows = np.abs(product) > _FOLLOWS * np.sqrt(power * (moved**2).sum(axis=0))
+    for j in np.flatnonzero(far & follows & (power > 0.0)):
+        joint, ratio = arm.joints[j], product[j] / power[j]
+        unit, factor = ('millimetres', 1e3) if joint.is_prismatic else ('degrees', 180.0 / np.pi)
+        causes = {f'positions in {unit}?': factor, f'rates in {unit}?': 1.0 / factor,
+                  'rates that count the other way round?': -1.0}  # fmt: skip
+        for cause, size in causes.items():
+            if 0.7 < ratio / size < 1.4:
+                return f'{joint.name} moves {ratio:.3g} times as far as its rate says: {cause}'
+    return ''
 
 
 def rate_source(

@@ -16,6 +16,7 @@ from lpv.core.serial_arm.chain import compile_chain
 from lpv.core.serial_arm.description import N_INERTIAL, SerialArm
 from lpv.core.serial_arm.diagnosis.parameter_error import model_error, usual_load
 from lpv.core.serial_arm.dynamics.payload import payload_parameters
+from lpv.core.serial_arm.rate_independence import other_rates
 from lpv.identify.estimation.robust import HUBER, predicted, robust_fit, solve_normal
 from lpv.identify.model.friction import SLOPE, friction_columns, join_columns, least_viscous
 from lpv.identify.model.prior import Prior, base_prior
@@ -45,7 +46,8 @@ _Tried = Iterator[tuple[str, '_Setup']]
 class Mistake:
     """What differs from what the file says."""
 
-    # 'angle', 'gravity', 'weight', 'load', 'change', 'sign', 'names', 'delay', 'unit' or 'reading'
+    # 'angle', 'rates', 'gravity', 'weight', 'load', 'change', 'sign', 'names', 'delay', 'unit' or
+    # 'reading'
     kind: str
     text: str  # one sentence for the user
     evidence: float  # logarithm of the Bayes factor against the set-up as it is said to be
@@ -88,6 +90,9 @@ def find_mistakes(arm: SerialArm, recordings: Sequence[Recording]) -> list[Mista
     positions = np.concatenate([one.position for one in recordings])
     if text := other_unit(arm, *np.nanquantile(positions, ALMOST_ALL, axis=0)):
         return [Mistake('angle', text, np.inf)]  # all else would follow from it
+    for one in recordings:
+        if text := other_rates(arm, one.stamps, one.position, one.rates):
+            return [Mistake('rates', text, np.inf)]
     parts = [split(one) for one in recordings]
     segments = [segment for part in parts for segment in part]
     check_efforts(segments, arm.joint_names)
