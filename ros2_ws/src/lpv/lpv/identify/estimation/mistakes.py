@@ -8,6 +8,7 @@ the file says for that.
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
+from itertools import combinations
 
 import numpy as np
 
@@ -36,6 +37,7 @@ _CHANGES = np.linspace(0.1, 0.9, 17)  # moments at which the load may change, of
 _FARTHEST = 0.5  # that gravity turns, or a reading is off, in a step of a search [rad]
 _STEPS = 10  # of the search for a reading's error: half a turn, what is then left is its cube
 _SCALE = 0.2  # standard deviation of the logarithm of the arm's torques, as the file gives them
+_APART = 6  # most between joints whose signals are swapped: all pairs of seven
 _FACTOR = 2.0  # within which efforts may be N m
 _DELAYS = (-0.05, *np.arange(0.03, 0.11, 0.01))  # what filters of drivers do is no mistake [s]
 _MOST_SAMPLES = 1500  # that mistakes are tried on: each is a fit of its own
@@ -456,14 +458,20 @@ class _Judge:
             )
 
     def _swaps(self, setup: _Setup) -> _Tried:
-        names = self._arm.joint_names
-        for j in range(len(names) - 1):
+        names, spread = self._arm.joint_names, np.std(setup.effort, axis=0) + 1e-9
+        for j, k in combinations(range(len(names)), 2):
+            if k > j + _APART:
+                continue
             order = np.arange(len(names))
-            order[[j, j + 1]] = j + 1, j
-            motion = setup.position[:, order], setup.velocity[:, order]
-            text = f'signals of {names[j]} and {names[j + 1]} are swapped: their names are wrong'
+            order[[j, k]] = k, j
+            motion = (x[:, order] for x in (setup.position, setup.velocity))
+            text = f'{{}} of {names[j]} and {names[k]} are swapped: their names are wrong'
             effort, moves = setup.effort[:, order], setup.moves[:, order]
-            yield text, replace(self._moved(setup, *motion), effort=effort, moves=moves)
+            swapped = self._moved(setup, *motion)
+            yield text.format('signals'), replace(swapped, effort=effort, moves=moves)
+            # Errors count as shares: joints may move for unlike times.
+            gain = setup.gain * spread[order] / spread
+            yield text.format('efforts'), replace(setup, effort=effort, gain=gain)
 
     def _delays(self, setup: _Setup) -> _Tried:
         for delay in _DELAYS:
@@ -476,8 +484,15 @@ class _Judge:
         measured = np.std(setup.effort, axis=0)
         carries = expected > 0.1 * expected.max()
         gain = expected / np.maximum(measured, 1e-12)
-        least = min(gain[carries], key=lambda g: abs(np.log(g)))
-        if 1.0 / _FACTOR < least < _FACTOR:
+        off = carries & ~((gain > 1.0 / _FACTOR) & (gain < _FACTOR))
+        if not np.array_equal(off, carries):
+            for j in np.flatnonzero(off):
+                one = np.where(np.arange(len(gain)) == j, gain[j], 1.0)
+                yield (
+                    f'efforts of {self._arm.joint_names[j]} are in another unit: about '
+                    f'{gain[j]:.1g} times as large would fit (--gain)',
+                    replace(setup, effort=setup.effort * one, gain=setup.gain * one),
+                )
             return
         gain = np.where(carries, gain, float(np.median(gain[carries])))
         yield (
