@@ -26,6 +26,7 @@ from lpv.identify.sensors import Sensing, sense
 
 STEPS = 9
 """Steps of an identification that are reported."""
+_EXPLAINED = 0.5  # share of an effort's variance, of data held back, below which it is said
 
 
 @dataclass(frozen=True)
@@ -89,9 +90,16 @@ def identify(
     report('looking for faults in the recordings')
     workshop.warnings += unhealthy(found, [*recordings, *tests])
     step = workshop.step
+    shown = figures(predictions, workshop.bands, step)
+    workshop.warnings += [
+        f'{name}: less than half of the efforts held back is explained (R2 {share:.2g}): its '
+        'motion says too little, or there is a mistake that was not found'
+        for name, share in zip(found.joint_names, shown.r2)
+        if share < _EXPLAINED
+    ]
     return Identification(
         found,
-        figures(predictions, workshop.bands, step),
+        shown,
         figures(before, workshop.bands, step),
         predictions,
         sensing,
