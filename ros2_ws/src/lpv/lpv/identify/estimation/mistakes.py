@@ -484,13 +484,13 @@ class _Judge:
         measured = np.std(setup.effort, axis=0)
         carries = expected > 0.1 * expected.max()
         gain = expected / np.maximum(measured, 1e-12)
-        off = carries & ~((gain > 1.0 / _FACTOR) & (gain < _FACTOR))
-        if not np.array_equal(off, carries):
-            for j in np.flatnonzero(off):
+        small, large = carries & (gain > _FACTOR), carries & (gain < 1.0 / _FACTOR)
+        if not any(np.array_equal(off, carries) for off in (small, large)):
+            for j in np.flatnonzero(small | large):
                 one = np.where(np.arange(len(gain)) == j, gain[j], 1.0)
                 yield (
                     f'efforts of {self._arm.joint_names[j]} are in another unit: about '
-                    f'{gain[j]:.1g} times as large would fit (--gain)',
+                    f'{gain[j]:.2g} times as large would fit (--gain)',
                     replace(setup, effort=setup.effort * one, gain=setup.gain * one),
                 )
             return
