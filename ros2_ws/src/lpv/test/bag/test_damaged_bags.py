@@ -5,9 +5,10 @@ import shutil
 import struct
 
 import pytest
-from bag_messages import CHATTER, JOINTS, START, STEP, STRING, text
+from bag_messages import CHATTER, JOINTS, START, STEP, STRING, TOPICS, text
 from bags import KINDS, contents, storage, write_by_mcap, write_by_rosbags, write_small
 from fuzzing import fuzz, mutate_bytes, mutate_text
+from mcap.writer import Writer as McapWriter
 from places import BRINGUP
 from rosbags.rosbag2 import StoragePlugin
 
@@ -16,6 +17,7 @@ from lpv.bag.errors import BagError
 from lpv.bag.replay.replay import Replay
 from lpv.bag.rosbag import mcap_file, writing
 from lpv.bag.rosbag.output_folder import GAINS_NAME, read_run_file
+from lpv.bag.rosbag.reading import open_bag
 from lpv.bag.rosbag.recovery import recover
 from lpv.bag.run.csv_import import import_csv, load_column_map
 from lpv.bag.run.record import load_run
@@ -188,6 +190,26 @@ def test_given_a_file_of_another_writer_when_damaged_then_it_is_read_in_parts(tm
 def test_given_a_file_of_another_tool_without_messages_when_read_then_it_is_not_damaged(tmp_path):
     bag = write_by_rosbags(tmp_path / 'bag', [], StoragePlugin.MCAP)
     assert contents(bag) == ([], [])
+
+
+@pytest.mark.parametrize('left_out', ['repeat_channels', 'repeat_schemas', 'counts', 'chunks'])
+def test_given_a_short_summary_when_read_then_all_is_found_and_it_is_not_damaged(
+    tmp_path, monkeypatch, left_out
+):
+    def finish(writer):
+        writer.add_attachment(START, START, 'notes', 'text/plain', b'abc')
+        if left_out == 'counts':  # an empty map says that they are not known
+            writer._Writer__statistics.channel_message_counts.clear()
+        end(writer)
+
+    end, content = McapWriter.finish, [(CHATTER, START + k, text('abc')) for k in range(100)]
+    monkeypatch.setattr(McapWriter, 'finish', finish)
+    options = {'chunks': {'use_chunking': False}, 'counts': {}}.get(left_out, {left_out: False})
+    file = write_by_mcap(tmp_path / 'a.mcap', content, 500, **options)
+    assert contents(file) == (content, [])
+    with open_bag(file) as reader:
+        assert TOPICS[CHATTER] in {connection.msgtype for connection in reader.connections}
+    assert recover(file).attachments == 1
 
 
 @pytest.mark.parametrize('field', ['size', 'data', 'record'])

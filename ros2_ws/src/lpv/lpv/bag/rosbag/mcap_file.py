@@ -13,7 +13,7 @@ import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.reader import SeekingReader
-from mcap.records import Channel, Chunk, DataEnd, Message, Schema
+from mcap.records import Attachment, Channel, Chunk, DataEnd, Message, Schema
 from mcap.stream_reader import StreamReader, get_chunk_data_stream
 
 from lpv.bag.blocks.message_blocks import BLOCK_SIZE, Block, split
@@ -75,10 +75,14 @@ class McapFile:
         if crc and zlib.crc32(self._data[start:-12]) != crc:
             raise DamageError('the checksum of its summary is wrong')
         counts, places = dict(summary.statistics.channel_message_counts), []
-        if any(counts.values()) and not summary.chunk_indexes:
+        is_filled = summary.statistics.message_count > 0 or any(counts.values())
+        needed = {channel.schema_id for channel in summary.channels.values()} - {0}
+        # Writers may leave indexes, counts by topic, topics and schemas out of a summary.
+        parts = summary.chunk_indexes, any(counts.values()), summary.channels
+        if is_filled and not (all(parts) and needed <= {*summary.schemas}):
             return False
         # Without messages a chunk has no times, whatever writers put there.
-        for index in summary.chunk_indexes if any(counts.values()) else ():
+        for index in summary.chunk_indexes if is_filled else ():
             if not index.message_start_time <= index.message_end_time < 2**63 - 1:
                 raise DamageError('the times of a chunk are wrong')
             channels = tuple(index.message_index_offsets)
@@ -107,6 +111,7 @@ class McapFile:
                     found += self._add_chunk(one, at)
                 elif isinstance(one, (Schema, Channel)):
                     self._define(one)
+                self.attachments += isinstance(one, Attachment)
                 self.complete |= isinstance(one, DataEnd)
                 at = after
         except Exception as error:  # of many kinds
