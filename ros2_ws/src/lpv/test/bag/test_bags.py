@@ -15,6 +15,7 @@ from bags import KINDS, TOPICS, contents, storage, write_by_mcap, write_by_rosba
 from mcap.reader import make_reader
 from mcap.records import Chunk
 from mcap.stream_reader import StreamReader
+from mcap.writer import Writer as McapWriter
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import CompressionMode, StoragePlugin
 
@@ -27,6 +28,7 @@ from lpv.bag.rosbag.interfaces import message_text, padded_cdr, standard_types
 from lpv.bag.rosbag.messages import BagMessages
 from lpv.bag.rosbag.metadata import RECORD_NAME
 from lpv.bag.rosbag.reading import BagReader, open_bag
+from lpv.bag.rosbag.recovery import recover
 from lpv.bag.rosbag.writing import PRESETS, BagWriter
 from lpv.bag.run import decoder
 from lpv.bag.run.record import ALARM_TYPE, SCALARS, STREAMS, load_run
@@ -124,6 +126,42 @@ def test_given_garbage_or_another_type_when_copied_then_it_is_taken_out_or_refus
             assert writer.without_garbage(JOINT_STATE, other) == other
         writer.add_topic(JOINTS, STRING)
         pytest.raises(ConfigError, writer.copy_topic, reader.connections[0]).match('two types')
+
+
+OTHERS = {
+    'protobuf': ('foxglove.Image', 'protobuf', b'\xff\x01'),
+    'json': ('sensor_msgs/msg/JointState', 'jsonschema', b'{}'),
+    'cbor': None,  # without schema
+    'cdr': ('my_msgs/msg/Mine', '', b''),  # of a distribution that stored no definitions
+}
+"""Schemas of topics that are not understood, by how their messages are encoded."""
+
+
+@pytest.mark.parametrize('encoding', OTHERS)
+def test_given_a_topic_of_any_kind_when_recovered_then_it_is_copied(tmp_path, encoding):
+    content = [(CHATTER, START, text('abc')), ('/other', START + 1, b'any bytes')]
+    with open(tmp_path / 'a.mcap', 'wb') as file:
+        writer = McapWriter(file)
+        writer.start()
+        definition = TYPESTORE.generate_msgdef(STRING, ros_version=2)[0].encode()
+        channels = {CHATTER: (STRING, 'ros2msg', definition, 'cdr')}
+        channels['/other'] = (*(OTHERS[encoding] or ('', '', b'')), encoding)
+        for topic, time, data in content:
+            *schema, how = channels[topic]
+            known = writer.register_schema(*schema) if schema[0] else 0
+            channel = writer.register_channel(topic, how, known)
+            writer.add_message(channel, time, data, time)
+        writer.finish()
+    assert recover(tmp_path / 'a.mcap', tmp_path / 'new').nothing_lost
+    assert contents(tmp_path / 'new') == (content, [])
+    (new,) = (tmp_path / 'new').glob('*.mcap')
+    with open(new, 'rb') as file:
+        found = {c.topic: (s, c) for s, c, _ in make_reader(file).iter_messages()}
+    schema, channel = found['/other']
+    assert channel.message_encoding == encoding
+    assert (schema and (schema.name, schema.encoding, schema.data)) == OTHERS[encoding]
+    if encoding == 'json':
+        pytest.raises(BagError, load_run, new, '/other').match("encoded as 'json'")
 
 
 @pytest.mark.parametrize('room', [0, 2800, 4000, 4200, 5000, 6000, 10_000, 10_300])

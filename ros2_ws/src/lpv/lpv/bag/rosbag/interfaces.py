@@ -18,7 +18,7 @@ _OWN = 'FaultAlarm FaultEstimate GroundTruth JointReference StateEstimate Torque
 
 def message_text(msgtype: str) -> str:
     """Definition of a message type from its ``.msg`` file."""
-    package, _, name = msgtype.split('/')
+    package, _, name = (*msgtype.split('/'), '', '')[:3]
     folders = [prefix / 'share' / package for prefix in prefixes()]
     for folder in (*folders, SOURCES / package):
         path = folder / 'msg' / f'{name}.msg'

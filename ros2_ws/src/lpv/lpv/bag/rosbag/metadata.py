@@ -25,6 +25,9 @@ RECORD_NAME = 'lpv_recorder'
 """Key of the custom data of a bag for what its recorder knew."""
 Known = dict[str, dict[str, int]]
 """What a recorder knows of each topic: messages, lost, late."""
+_FORMAT = interfaces.MessageDefinitionFormat
+DEFINITIONS = {_FORMAT.MSG: 'ros2msg', _FORMAT.IDL: 'ros2idl'}
+"""Names of the kinds of message definitions in MCAP files."""
 _DUMPER = getattr(yaml, 'CSafeDumper', yaml.SafeDumper)
 _FOREVER = interfaces.QosTime(2147483647, 4294967295)
 
@@ -40,6 +43,11 @@ def qos_profile(reliable: bool, transient_local: bool, depth: int) -> Qos:
 def offered_qos(connection: Connection) -> list[Qos]:
     """QoS profiles with which a topic was offered when it was recorded."""
     return list(getattr(connection.ext, 'offered_qos_profiles', None) or ())
+
+
+def encoding_of(connection: Connection) -> str:
+    """Encoding of a topic's messages, of ROS 2 ``cdr``."""
+    return str(getattr(connection.ext, 'serialization_format', 'cdr'))
 
 
 @dataclass(frozen=True)
@@ -116,7 +124,7 @@ def bag_information(
         about = {
             'name': topic.topic,
             'type': topic.msgtype,
-            'serialization_format': 'cdr',
+            'serialization_format': encoding_of(topic),
             'offered_qos_profiles': dump_qos_v9(offered_qos(topic)),
             'type_description_hash': topic.digest,
         }

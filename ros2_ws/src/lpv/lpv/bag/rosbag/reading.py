@@ -25,7 +25,15 @@ from lpv.bag.blocks.message_blocks import BLOCK_SIZE, Block, joined, record, spl
 from lpv.bag.errors import BagError, DamageError
 from lpv.bag.rosbag.interfaces import decode, standard_types
 from lpv.bag.rosbag.mcap_file import McapFile, error_text
-from lpv.bag.rosbag.metadata import FILE_NAME, BagMetadata, Known, offered_qos, read_metadata
+from lpv.bag.rosbag.metadata import (
+    DEFINITIONS,
+    FILE_NAME,
+    BagMetadata,
+    Known,
+    encoding_of,
+    offered_qos,
+    read_metadata,
+)
 from lpv.core.support.config import read_at_most
 from lpv.core.support.errors import LpvError
 from lpv.core.support.limits import MOST_BYTES
@@ -38,7 +46,7 @@ _STAMP = (('std_msgs/msg/Header', ('stamp',)), ('builtin_interfaces/msg/Time', (
 
 _UNFINISHED = 'the recording was not finished, its end may be missing ({})'
 _FORMAT = interfaces.MessageDefinitionFormat
-_FORMATS = {'ros2msg': _FORMAT.MSG, 'ros2idl': _FORMAT.IDL}
+_FORMATS = {name: kind for kind, name in DEFINITIONS.items()}
 _NONE = MessageDefinition(_FORMAT.NONE, '')
 _IDL = '=' * 80 + '\n'
 """Before each of the definitions that a type in IDL needs."""
@@ -371,7 +379,7 @@ def _connections_of(files: Iterable[McapFile], hashes: dict[str, str]) -> list[C
             if known is not one:
                 profiles = offered_qos(known)
                 profiles += [qos for qos in offered_qos(one) if qos not in profiles]
-                ext = ConnectionExtRosbag2('cdr', profiles)
+                ext = ConnectionExtRosbag2(encoding_of(one), profiles)
                 count = known.msgcount + one.msgcount
                 found[one.topic, one.msgtype] = known._replace(msgcount=count, ext=ext)
     return list(found.values())
@@ -398,7 +406,7 @@ def _connection(file: McapFile, number: int, hashes: dict[str, str]) -> Connecti
     digest = channel.metadata.get('topic_type_hash') or hashes.get(name, '')
     ext = ConnectionExtRosbag2(channel.message_encoding, profiles)
     count = file.counts.get(number, 0)
-    return Connection(number, channel.topic, name, definition, digest, count, ext, None)
+    return Connection(number, channel.topic, name, definition, digest, count, ext, schema)
 
 
 @functools.lru_cache(maxsize=4)  # a command opens few kinds of bags, each several times

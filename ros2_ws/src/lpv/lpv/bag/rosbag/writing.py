@@ -17,7 +17,7 @@ import numpy as np
 import zstandard
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
-from mcap.records import MessageIndex
+from mcap.records import MessageIndex, Schema
 from mcap.writer import CompressionType, Writer
 from rosbags import interfaces
 from rosbags.interfaces import Connection, ConnectionExtRosbag2, Qos
@@ -94,7 +94,7 @@ class _File(Writer):
         self.chunks = self._Writer__chunk_indices  # type: ignore[attr-defined]
         self.statistics = self._Writer__statistics  # type: ignore[attr-defined]
         self.channels: dict[str, int] = {}
-        self._schemas: dict[tuple[str, str, bytes], int] = {}
+        self._schemas = {('', '', b''): 0}  # a topic without schema
         self.start('ros2', 'lpv.bag')
 
     @property
@@ -107,14 +107,15 @@ class _File(Writer):
 
     def define(self, topic: Connection) -> None:
         kind, text = topic.msgdef
-        is_msg = kind == interfaces.MessageDefinitionFormat.MSG
-        schema = (topic.msgtype, 'ros2msg' if is_msg else 'ros2idl', text.encode())
+        schema = topic.msgtype, metadata.DEFINITIONS.get(kind, ''), text.encode()
+        if isinstance(own := topic.owner, Schema):  # it may be of any kind
+            schema = own.name, own.encoding, own.data
         if schema not in self._schemas:
             self._schemas[schema] = self.register_schema(*schema)
         qos = metadata.dump(dump_qos_v9(metadata.offered_qos(topic))).strip()
         about = {'offered_qos_profiles': qos, 'topic_type_hash': topic.digest}
-        number = self.register_channel(topic.topic, 'cdr', self._schemas[schema], about)
-        self.channels[topic.topic] = number
+        how = metadata.encoding_of(topic), self._schemas[schema], about
+        self.channels[topic.topic] = self.register_channel(topic.topic, *how)
 
     def _Writer__finalize_chunk(self) -> None:  # noqa: N802
         """End a chunk, as mcap's writer does, at this file's level."""
@@ -229,9 +230,12 @@ class BagWriter:
         if known is not None and known.msgtype != msgtype:
             reason = f'{topic} has two types, {known.msgtype} and {msgtype}'
             raise ConfigError('topic', reason, str(self.path))
-        if known is None and not connection.msgdef.data:  # as in bags of older distributions
-            self.add_topic(topic, msgtype, metadata.offered_qos(connection))
-        elif known is None:
+        if known is None:
+            if not connection.msgdef.data and metadata.encoding_of(connection) == 'cdr':
+                # As in bags of older distributions; its type may not be installed here.
+                with contextlib.suppress(ConfigError):
+                    profiles = metadata.offered_qos(connection)
+                    connection = self.describe(topic, msgtype, profiles)
             self._add(connection)
 
     def _add(self, topic: Connection) -> None:

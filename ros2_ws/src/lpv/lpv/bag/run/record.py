@@ -12,6 +12,7 @@ import numpy as np
 from rosbags.interfaces import Connection
 
 from lpv.bag.errors import BagError
+from lpv.bag.rosbag.metadata import encoding_of
 from lpv.bag.rosbag.reading import BagReader, open_bag
 from lpv.bag.run.decoder import Columns, Decoder, Table
 from lpv.core.monitoring.joint_order import JointOrder
@@ -155,6 +156,9 @@ def find_connections(
         if len(topics := sorted({c.topic for c in found})) > 1:
             raise _ambiguous(reader, msgtype, {topic: carried[topic] for topic in topics})
     if found:
+        if (encoding := encoding_of(found[0])) != 'cdr':
+            what = f'messages of {found[0].topic} are encoded as {encoding!r}, not as cdr'
+            raise BagError(f'{reader.path}: {what}')
         reader.check_definition(msgtype, _NEEDED[msgtype])
     return found
 
