@@ -90,3 +90,28 @@ def test_given_what_makes_no_sense_when_tuned_then_one_line_says_so(file, refuse
     out.mkdir(exist_ok=True)
     (out / 'study.db').write_text('no data base')
     assert refused('study.db', *command(file, 2))
+
+
+@pytest.mark.parametrize('stopped', [0, 1])
+def test_given_a_trial_that_is_interrupted_when_resumed_then_it_is_repeated(
+    file, call, monkeypatch, stopped
+):
+    def rows(bench, values, seed=None):
+        asked.append(values)
+        if len(asked) == stopped + 2:  # the first one is before any trial
+            raise KeyboardInterrupt
+        level = values['observer.acceleration_noise']
+        return [{'kind': 'none', 'score_before_1': 0.1, 'fault_rms_before': level}]
+
+    monkeypatch.setattr(tune._Bench, 'rows', rows)
+    for name in ('_draw', '_write'):
+        monkeypatch.setattr(tune, name, lambda *_: None)
+    tried = []
+    for out, count in (('whole', 99), ('resumed', 0)):
+        asked = [{}] * count
+        options = '--out', file.parent / out
+        if not count:
+            call(*command(file, 3), *options, code=130)
+        call(*command(file, 3), *options)
+        tried.append([trial.params for trial in study_in(file.parent / out).trials if trial.values])
+    assert tried[0] == tried[1] and len(tried[0]) == 3

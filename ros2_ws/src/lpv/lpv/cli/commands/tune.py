@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import optuna
+from optuna.trial import TrialState
 from rich.console import Console
 from scipy import stats
 
@@ -214,7 +215,8 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _finished(study: optuna.Study) -> list[optuna.trial.FrozenTrial]:
-    return [trial for trial in study.trials if trial.state.is_finished()]
+    """Trials with a result; one that was interrupted, or failed, has none and is tried again."""
+    return study.get_trials(states=(TrialState.COMPLETE, TrialState.PRUNED))
 
 
 def _search(
@@ -241,8 +243,8 @@ def _search(
         reason = f'study.db cannot be used ({str(error).splitlines()[0]})'
         raise ConfigError('--out', reason, str(folder)) from None
     first = bench.table(bench.rows(bench.base))
-    if not any(trial.params == bench.base for trial in _finished(study)):
-        study.enqueue_trial(bench.base, skip_if_exists=True)
+    if not study.get_trials(states=(TrialState.WAITING,)) + _finished(study):
+        study.enqueue_trial(bench.base)
 
     def objective(trial: optuna.Trial) -> tuple[float, float]:
         values = {name: trial.suggest_float(name, *ends, log=True)
