@@ -192,9 +192,9 @@ def test_given_faults_never_found_when_reported_then_no_delay_is_drawn(campaign,
 
 
 def test_given_an_encoder_that_ages_when_trends_are_asked_for_then_its_arm_is_the_first():
-    def trends_of(bags):
+    def trends_of(bags, threshold=0.05):
         same = {'kind': None, 'sensor': None, 'fault_mean_2': 0.0}
-        same |= dict.fromkeys(('threshold_mean_1', 'threshold_mean_2'), 0.05)
+        same |= dict.fromkeys(('threshold_mean_1', 'threshold_mean_2'), threshold)
         found = [{**same, 'unit': unit, 'start': int((1e4 + day) * 86400e9), 'fault_mean_1': mean}
                  for unit, day, mean in bags]  # fmt: skip
         return trends(Results(table(found), {'one': 'rad', 'two': 'm'}))
@@ -208,6 +208,8 @@ def test_given_an_encoder_that_ages_when_trends_are_asked_for_then_its_arm_is_th
     low, high = found[0]['interval']
     assert 1e-4 < low < 2e-4 < high
     assert found[0]['days_left'] == pytest.approx((0.05 - 77 * 2e-4) / 2e-4, rel=0.25)
+    drift = [('a', day, 1e-3 * day) for day in range(9)]
+    assert trends_of(drift, None)[0]['days_left'] == np.inf  # there is no threshold to reach
     # Without dates there is no order, and few bags say nothing.
     assert trends_of(('a', 0.0, k) for k in range(9)) == []
     assert trends_of(('a', k, k) for k in range(4)) == []

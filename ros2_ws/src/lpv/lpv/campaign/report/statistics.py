@@ -141,7 +141,9 @@ def trends(results: Results) -> list[dict[str, Any]]:
         slope, _, low, high = (float(v) for v in stats.theilslopes(values, days, LEVEL))
         chance = float(stats.kendalltau(days, values).pvalue)
         level = float(np.median(values) + slope * (days[-1] - np.median(days)))
-        room = float(np.median(thresholds[mine, i])) - abs(level)
+        # A bag without a finite threshold has none to reach.
+        threshold = np.nan_to_num(thresholds[mine, i], nan=math.inf)
+        room = float(np.median(threshold)) - abs(level)
         found.append(
             {
                 'unit': unit,
