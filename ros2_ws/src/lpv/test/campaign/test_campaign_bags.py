@@ -2,6 +2,7 @@ import json
 import os
 import re
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pyarrow as pa
@@ -336,6 +337,12 @@ def test_given_no_scenario_or_a_long_bag_when_replayed_then_the_truth_is_shown_o
             assert row[figure] == expected[figure], (name, figure)
         assert row['detection_delay'] == pytest.approx(expected['detection_delay'])
         assert row['kind'] == 'unknown'
+        # Whatever the arm file says of the rate.
+        other = replace(paper_arm, sample_time=0.25 * paper_arm.sample_time)
+        row = Archive(archives.archive_text(tmp_path, other, None)).row(name)
+        assert (row['kind'], row['false_alarms']) == ('unknown', 0)
+        for figure in ('early_time', 'healthy_time'):
+            assert row[figure] == pytest.approx(expected[figure])
     monkeypatch.setattr('lpv.campaign.execution.archive.MOST_SAMPLES', 1000)
     row = settings.row('b/bias')
     assert (row['alarms'], row['error']) == (1, '') and 'false_alarms' not in row

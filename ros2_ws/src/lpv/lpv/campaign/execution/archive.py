@@ -228,9 +228,11 @@ class BagFigures:
             replace(event, onset=event.onset - start, detected=event.detected - start)
             for event in result.events
         ]
-        scenario = self._scenario(run, bag / 'scenario.yaml')
+        scenario, arm = self._scenario(run, bag / 'scenario.yaml'), self._arm
+        if len(stamps) > 1:  # recorded at any rate
+            arm = replace(arm, sample_time=float(np.median(np.diff(stamps))) / NANOSECONDS)
         with np.errstate(invalid='ignore', divide='ignore'):
-            found = figures(self._arm, scenario, run)
+            found = figures(arm, scenario, run)
         if reference is None:
             found['stable'] = None
         return found
