@@ -292,12 +292,13 @@ def harm(bag, kind):
     ('garbage between chunks', 3, r'joint_states +5 +15', 6),
 ])  # fmt: skip
 def test_given_a_damaged_bag_when_recovered_then_the_new_one_is_good_and_the_old_one_untouched(
-    bag, tmp_path, call, refused, kind, code, said, count
+    bag, tmp_path, call, refused, monkeypatch, kind, code, said, count
 ):
     harm(bag, kind)
+    monkeypatch.chdir(bag)
     before, new = {path: path.read_bytes() for path in bag.iterdir()}, tmp_path / 'bag_recovered'
     readable, _ = contents(bag)
-    assert re.search(said, call('recover', bag, code=code).out)
+    assert re.search(said, call('recover', '.', code=code).out)
     assert {path: path.read_bytes() for path in bag.iterdir()} == before
     assert contents(new) == (readable, []) and len(readable) == count
     call('recover', new)

@@ -2,6 +2,7 @@
 
 import argparse
 import logging
+import os
 import sys
 from pathlib import Path
 
@@ -22,7 +23,8 @@ def run(arguments: argparse.Namespace) -> int:
         if out is None:
             result = recover(bag)
             if result.damages:
-                out = bag.with_name(f'{bag.name.removesuffix(".mcap")}_recovered')
+                whole = Path(os.path.abspath(bag))  # `.` has no name
+                out = whole.with_name(f'{whole.name.removesuffix(".mcap")}_recovered')
         if out is not None:
             result = recover(bag, out, arguments.preset)
     except BagError as error:
