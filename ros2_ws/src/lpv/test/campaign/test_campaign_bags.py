@@ -1,6 +1,7 @@
 import json
 import os
 import re
+import shlex
 import shutil
 from dataclasses import replace
 
@@ -126,11 +127,13 @@ def test_given_a_run_when_replayed_with_its_files_then_every_bit_is_same(done, t
 
 
 def test_given_results_when_a_run_is_asked_for_then_its_bag_is(results, tmp_path, call, refused):
-    line = ['campaign', results, '--run', 2, '--bag', tmp_path / 'bag']
+    line = ['campaign', results, '--run', 2, '--bag', tmp_path / 'a bag']
     said = call(*line).out
     assert 'detection_delay' in said and 'lpv replay' in said
-    assert load_run(tmp_path / 'bag').counts['/lpv/ground_truth'] == 1251
-    assert refused('exists already', *line) and [p.name for p in tmp_path.iterdir()] == ['bag']
+    words = shlex.split(said.partition('\nreport  ')[2].splitlines()[0])
+    assert words[:3] == ['lpv', 'report', str(tmp_path / 'a bag')]
+    assert load_run(tmp_path / 'a bag').counts['/lpv/ground_truth'] == 1251
+    assert refused('exists already', *line) and [p.name for p in tmp_path.iterdir()] == ['a bag']
 
 
 def test_given_what_makes_no_sense_when_called_then_one_line_says_so(results, tmp_path, refused):

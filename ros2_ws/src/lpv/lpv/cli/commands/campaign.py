@@ -1,6 +1,7 @@
 """``lpv campaign``: the statistics of thousands of closed-loop runs."""
 
 import argparse
+import shlex
 from pathlib import Path
 from typing import Any
 
@@ -112,11 +113,13 @@ def _run_to_bag(
     if wrong:
         why = 'the results are of another version of this software'
         raise LpvError(f'{folder.path}: run {number} gives another {", ".join(wrong)} now; {why}')
-    bag = arguments.bag
-    write_run_bag(plan, run, bag)
+    write_run_bag(plan, run, arguments.bag)
+    bag = shlex.quote(str(arguments.bag))
     files = f'{bag} --arm {bag}/arm.yaml'
     gains = f' --gains {bag}/gains.yaml' if plan.gains is not None else ''
-    console.print(f'bag     {bag}\nreport  lpv report {files} --scenario {bag}/scenario.yaml')
+    console.print(
+        f'bag     {arguments.bag}\nreport  lpv report {files} --scenario {bag}/scenario.yaml'
+    )
     console.print(f'replay  lpv replay {files}{gains} --parameters {bag}/parameters.yaml')
     if plan.transport != Transport():
         why = 'it has neither delayed commands nor lost samples'
