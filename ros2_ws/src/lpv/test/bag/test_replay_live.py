@@ -119,6 +119,7 @@ def test_given_options_that_make_no_sense_when_played_then_one_line_says_so(play
         ('clock', '--clock-rate -1'),
         ('/nowhere', '--topics /nowhere'),
         ('--publish', '--topic /x', '--effort-topic /x', '--inject x', '--report x'),
+        ('--publish', '--arm paper', '--gains x', '--parameters x', '--estimates-only'),
         ('--from', '--from -1'),
     ):
         assert all(refused(told, 'replay', played, '--publish', *one.split()) for one in wrong)

@@ -30,6 +30,11 @@ from lpv.core.support.timestamps import NANOSECONDS
 
 _PLAYED = ('topics', 'rate', 'loop', 'clock_rate', 'wait')
 """Options of a `lpv.bag.replay.player.Player`, which has their defaults."""
+_OFFLINE = (
+    *('inject', 'report', 'topic', 'effort_topic'),
+    *('arm', 'gains', 'requirement', 'parameters', 'estimates_only'),
+)
+"""Options of a replay that have no default."""
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -37,7 +42,7 @@ def run(arguments: argparse.Namespace) -> int:
     console = Console(soft_wrap=True, highlight=False, markup=False)
     if arguments.publish:
         reason = 'has no effect on --publish, which plays the bag as it is'
-        refuse(arguments, ('inject', 'report', 'topic', 'effort_topic'), reason)
+        refuse(arguments, _OFFLINE, reason)
         return _publish(arguments, console)
     refuse(arguments, _PLAYED, 'is for a bag that is played: give --publish')
     out = Path(arguments.out).resolve()
