@@ -112,7 +112,7 @@ def _alarm_figures(
             own.setdefault(alarm.sensor, []).append(alarm)
     inside = [a for a in raised if begin <= a.detected / 1e9 < end or told(a)]
     outside = [a for a in raised if a not in inside and told(a) is not None]
-    wrong = [a for a in inside if faulty and a.detected / 1e9 < onsets.get(a.sensor, math.inf)]
+    wrong = [a for a in inside if a.detected / 1e9 < onsets.get(a.sensor, math.inf)]
     said, nan = {a.sensor for a in inside}, math.nan
     found = bool(own) and set(own) == set(faulty)
     pairs = [(own[sensor][0], f) for sensor, f in faulty.items()] if found else []
@@ -125,7 +125,7 @@ def _alarm_figures(
     return {
         **each,
         'alarms': len(raised),
-        'false_alarms': len(outside) + (0 if faulty else len(inside)),
+        'false_alarms': len(outside),
         'wrong_alarms': len(wrong),
         'detected': found,
         'isolated': found and said == set(faulty) and not wrong,
