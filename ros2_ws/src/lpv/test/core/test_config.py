@@ -1,5 +1,6 @@
 import functools
 import math
+import os
 import re
 from copy import copy
 from dataclasses import asdict, fields, replace
@@ -21,7 +22,14 @@ from lpv.core.serial_arm.two_links import Link
 from lpv.core.simulation.faults import KINDS, Fault, FaultInjector
 from lpv.core.simulation.scenario import load_scenario, parse_scenario
 from lpv.core.support import config
-from lpv.core.support.config import MAX_DEPTH, MAX_VALUES, Section, read_yaml, sha256_of
+from lpv.core.support.config import (
+    MAX_DEPTH,
+    MAX_VALUES,
+    Section,
+    read_yaml,
+    sha256_of,
+    write_whole,
+)
 from lpv.core.support.errors import ConfigError, LpvError
 from lpv.core.support.resources import shipped_files
 from lpv.core.uio.certificate.gains import Gains, load_certified, load_gains
@@ -505,3 +513,17 @@ def test_given_mutated_files_when_read_then_each_is_refused_or_holds_finite_numb
         path.write_bytes(mutate_text(text, seed))
 
     assert fuzz(150, mutate, lambda: load(path), unbounded=tuple(unbounded)).refused
+
+
+def test_given_two_processes_when_they_write_one_file_then_it_is_whole_and_nothing_is_left(
+    tmp_path, monkeypatch
+):
+    def meanwhile(_):
+        monkeypatch.setattr(os, 'getpid', lambda: 1)
+        write_whole(tmp_path / 'file', 'theirs')
+
+    monkeypatch.setattr(os, 'fsync', meanwhile)
+    write_whole(tmp_path / 'file', 'ours', sync=True)
+    monkeypatch.setattr(os, 'fsync', lambda _: (tmp_path / 'nothing').read_bytes())
+    pytest.raises(OSError, write_whole, tmp_path / 'file', 'half of', sync=True)
+    assert (tmp_path / 'file').read_text() == 'ours' and len([*tmp_path.iterdir()]) == 1

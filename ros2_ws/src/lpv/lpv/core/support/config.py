@@ -121,15 +121,18 @@ def write_whole(path: str | Path, content: str | bytes, sync: bool = False) -> N
     With ``sync`` that holds for a power failure, too.
     """
     path = Path(path)
-    part = path.with_name(path.name + '.part')
-    if path.is_dir():  # else the part would stay beside it
+    part = path.with_name(f'{path.name}.{os.getpid()}.part')  # others may write the same file
+    if path.is_dir():
         raise ConfigError('file', 'cannot be written, there is a folder', str(path))
-    with open(part, 'wb') as file:
-        file.write(content.encode() if isinstance(content, str) else content)
-        if sync:
-            file.flush()
-            os.fsync(file.fileno())
-    part.replace(path)
+    try:
+        with open(part, 'wb') as file:
+            file.write(content.encode() if isinstance(content, str) else content)
+            if sync:
+                file.flush()
+                os.fsync(file.fileno())
+        part.replace(path)
+    finally:
+        part.unlink(missing_ok=True)
 
 
 def _values(data: object, source: str) -> Iterator[tuple[str, Any]]:
