@@ -90,6 +90,12 @@ def test_friction_of_the_urdf_counts_where_the_file_of_the_arm_says_none(small, 
         assert load_arm(tmp_path / 'arm.yaml').joints[0].friction.viscous == viscous
 
 
+def test_limits_that_stand_for_none_are_none(small):
+    text = 'lower="-1" upper="2"', 'lower="-1e16" upper="1e16"'
+    limits = small(*text).joints[0].limits
+    assert (limits.lower, limits.upper) == (-np.inf, np.inf)
+
+
 def test_given_a_urdf_in_place_of_an_arm_file_then_it_is_said_what_makes_one_of_it(small, tmp_path):
     small()
     with pytest.raises(ConfigError, match='small.urdf: arm: is a URDF: lpv init --urdf makes'):
