@@ -178,10 +178,11 @@ def _read_model(
         while joint not in (0, last):  # 0 where the arm is refused below
             place, joint = data.liMi[joint] * place, model.parents[joint]
     if held:
-        # Pinocchio looks parents up by name alone, and joints may be called as links are.
+        # Pinocchio looks parents up by name alone, and joints may be called as links are, or by
+        # numbers: no name of a URDF, which is XML, holds this character.
         for number, frame in enumerate(model.frames):
             if frame.type != pinocchio.FrameType.JOINT:
-                frame.name = f'{number}'
+                frame.name = f'\x01{number}'
         model = pinocchio.buildReducedModel(
             model, [model.getJointId(name) for name in held], reference
         )

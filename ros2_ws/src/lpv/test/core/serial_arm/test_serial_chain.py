@@ -159,6 +159,9 @@ def test_drives_are_no_joints_the_tip_names_the_branch_and_locks_hold_what_follo
     assert dict(found.locked) == pytest.approx(held)
     assert_same_torques(found, BRANCH)
     assert small(new=BRANCH, locked={}, tip='camera').joint_names == ('a', 'pan')
+    for number in range(12):
+        numbered = BRANCH.replace('"pan"', f'"{number}"')
+        assert small(new=numbered, locked={}, tip='tool').joint_names == ('a', 'b')
 
 
 @pytest.mark.parametrize('reason', NO_ARM)
