@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from lpv.core.serial_arm.chain import MAX_JOINTS
+from lpv.core.serial_arm.chain import MAX_JOINTS, compile_chain
 from lpv.core.serial_arm.description import (
     INERTIA_KEYS,
     JOINT_TYPES,
@@ -20,6 +20,7 @@ from lpv.core.serial_arm.description import (
     SerialJoint,
     Uncertainty,
 )
+from lpv.core.serial_arm.dynamics.model import SerialModel
 from lpv.core.serial_arm.old_arm_file import parse_two_links
 from lpv.core.serial_arm.urdf_chain import read_urdf_chain
 from lpv.core.support.config import Section, read_yaml, write_yaml
@@ -33,6 +34,8 @@ _OLD_FORM = (
 )
 _SMALLEST_DETERMINANT = 1e-6
 """Of a matrix of sensors that tell the joints' positions; smaller ones count as singular."""
+_ROUNDED = 1e-14
+"""Share of the largest joint inertia that rounding leaves of none."""
 _HEADER = 'docs/arm-file.md describes the fields.'
 
 
@@ -118,10 +121,11 @@ def _parse(data: dict[str, Any], source: str, folder: str | Path) -> SerialArm:
             raise top.error(field, 'use a name twice')
     if joints[0].rotor_coupling != 0.0:
         raise top.error('joints[0].rotor_coupling', 'must be 0: there is no joint before')
+    # In a posture without symmetries: bodies that are points on the axis have no inertia about it.
+    own = np.abs(SerialModel(compile_chain(arm)).mass_matrix(np.linspace(0.3, 1.3, n)).diagonal())
     for i, joint in enumerate(joints):
-        carried = np.array([one.link.to_vector() for one in joints[i:]])
-        if joint.rotor_inertia == 0.0 and not carried.any():
-            why = f'{joint.name} moves no mass; a URDF may lack <inertial>'
+        if own[i] <= _ROUNDED * own.max():
+            why = f'{joint.name} moves no mass off its axis; a URDF may lack inertias'
             raise top.error(f'joints[{i}].link', why)
     return arm
 

@@ -169,9 +169,10 @@ def test_joints_that_no_arm_has_are_refused_by_name(small, reason):
     pytest.raises(ConfigError, small, *NO_ARM[reason]).match(reason)
 
 
-def test_given_a_joint_that_moves_no_mass_then_its_file_is_refused_by_name():
-    massless = LinkInertia.from_vector(np.zeros(10))
-    arm = with_joints(shoulder_arm(), 2, link=massless, rotor_inertia=0.0)
+@pytest.mark.parametrize('mass', [0.0, 0.081])
+def test_given_a_joint_that_moves_no_mass_off_its_axis_then_its_file_is_refused(mass):
+    point = LinkInertia.from_vector(np.array([mass, *np.zeros(9)]))
+    arm = with_joints(shoulder_arm(), 2, link=point, rotor_inertia=0.0)
     with pytest.raises(ConfigError, match=r'joints\[2\].link: joint3 moves no mass'):
         parse_arm(to_mapping(arm))
 
