@@ -22,6 +22,8 @@ _COLOURS = ('0.27 0.47 0.67 1', '0.40 0.60 0.80 1')
 """Colours of the links, in turn: red, green, blue, alpha."""
 _SLENDER = 1e-3
 """Least inertia about an axis over the largest: that of a rod 40 times as long as thick."""
+_ROUNDED = 1e-12
+"""Share of the inertia about the joint that counts as none about the centre of mass."""
 _THICKNESS = 0.04
 """Radius of the drawn links, over their mean length."""
 
@@ -37,7 +39,7 @@ def arm_urdf(arm: SerialArm, inertial: bool = True) -> str:
     Friction goes into ``dynamics``; rotor inertia has no place in a URDF and is left out.
 
     ``inertial`` writes masses and inertias, which pictures do not need.  ConfigError if an inertia
-    about a centre of mass is not positive: identified parameters need not be, but a URDF cannot
+    about a centre of mass is negative: identified parameters need not be, but a URDF cannot
     say it.
     """
     robot, names = ElementTree.Element('robot', name=arm.name), link_names(arm)
@@ -70,10 +72,12 @@ def _inertial(link: ElementTree.Element, arm: SerialArm, index: int) -> None:
     if described.mass == 0.0:
         return
     values, axes = np.linalg.eigh(described.about_center())
-    if values[1] <= 0.0:
+    # A mass point has none, but what rounding leaves.
+    values[np.abs(values) <= _ROUNDED * np.trace(described.rotational_inertia())] = 0.0
+    if values[1] < 0.0:
         raise ConfigError(
             f'joints[{index}].link.inertia',
-            'is not positive about the centre of mass '
+            'is negative about the centre of mass '
             f'({values.min():.4g} kg m2): a URDF cannot express that',
             arm.name,
         )

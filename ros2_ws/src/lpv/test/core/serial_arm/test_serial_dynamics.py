@@ -11,13 +11,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from places import BRINGUP
 from planar_formulas import inverse_dynamics as two_link_inverse_dynamics
-from serial_arms import middle, mixed_arm, scara, ur10_on_rail
+from serial_arms import middle, mixed_arm, scara, shoulder_arm, ur10_on_rail
 
 from lpv import ConfigError, LpvError, SampleError, load_arm
 from lpv.core.export import urdf
 from lpv.core.serial_arm import arm_file, description, urdf_chain
 from lpv.core.serial_arm.certificate.model_bounds import chain_numbers
-from lpv.core.serial_arm.chain import VISCOUS, compile_chain, workspace
+from lpv.core.serial_arm.chain import VISCOUS, compile_chain, moved_body, workspace
 from lpv.core.serial_arm.dynamics import kinematics, payload
 from lpv.core.serial_arm.dynamics.model import SerialModel
 from lpv.core.serial_arm.dynamics.momentum import forward_dynamics, momentum_balance
@@ -292,6 +292,13 @@ def test_given_an_exported_urdf_when_pinocchio_reads_it_then_torques_are_ours(ch
         torque = pin.rnea(model, data, place, v, a)  # a URDF has no rotors
         close(read.inverse_dynamics(q, v, a), torque)
         close(ours.inverse_dynamics(q, v, a) - ours.chain.motor @ a, torque)
+
+
+def test_given_a_mass_point_when_exported_and_read_again_then_it_is_the_same(tmp_path):
+    point = moved_body(np.array([0.5, *np.zeros(9)]), np.eye(3), np.array([0.1, 0.7, -0.3]))
+    arm = with_joints(shoulder_arm(), 2, link=description.LinkInertia.from_vector(point))
+    (tmp_path / 'arm.urdf').write_text(urdf.arm_urdf(arm))
+    close(urdf_chain.read_urdf_chain(tmp_path / 'arm.urdf').joints[2].link.to_vector(), point)
 
 
 def test_given_a_model_when_mujoco_takes_it_then_motions_are_ours(mujoco, chosen):
