@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from lpv.cli.options import refuse
+from lpv.core.serial_arm.arm_file import check_inertia
 from lpv.core.serial_arm.urdf_chain import read_urdf_ends
 from lpv.core.support.errors import ConfigError
 
@@ -28,6 +29,7 @@ def chosen_arm(arguments: argparse.Namespace) -> Any:
     if arguments.tip is not None and joints:
         raise ConfigError('--tip', 'and --joints say the same: give one of them')
     arm, (end, *others) = read_urdf_ends(arguments.urdf, locked, joints or None, arguments.tip)
+    check_inertia(arm, arguments.urdf)
     if others and not arguments.tip:
         print(f'tip: {end}, where loads sit; --tip names another: {", ".join(others)}')
     return arm

@@ -421,6 +421,8 @@ def test_given_what_cannot_be_used_when_initialised_then_it_is_named(tmp_path, r
         assert old in GRIPPER
         urdf.write_text(GRIPPER.replace(old, bad))
         assert refused(said, 'init', new, '--urdf', urdf, *options) and not new.exists()
+    urdf.write_text(re.sub('<inertial>.*?</inertial>', '', GRIPPER, flags=re.DOTALL))
+    assert refused('shoulder moves no mass', 'excite', '--urdf', urdf, '--out', new, *HELD)
     # Files that are there are not overwritten.
     (tmp_path / 'scenario.yaml').write_text('mine')
     assert refused('exists already', 'init', tmp_path)

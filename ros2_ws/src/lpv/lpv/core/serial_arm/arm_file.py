@@ -91,6 +91,17 @@ def parse_arm(data: dict[str, Any], source: str = 'arm', folder: str | Path = '.
     return _parse(data, source, folder)
 
 
+def check_inertia(arm: SerialArm, source: str) -> None:
+    """Refuse a joint that moves no inertia, ConfigError: no torque says what it does."""
+    # In a posture without symmetries: bodies that are points on the axis have no inertia about it.
+    posture = np.linspace(0.3, 1.3, len(arm.joints))
+    own = np.abs(SerialModel(compile_chain(arm)).mass_matrix(posture).diagonal())
+    for i, joint in enumerate(arm.joints):
+        if own[i] <= _ROUNDED * own.max():
+            why = f'{joint.name} moves no mass off its axis; a URDF may lack inertias'
+            raise ConfigError(f'joints[{i}].link', why, source)
+
+
 def _parse(data: dict[str, Any], source: str, folder: str | Path) -> SerialArm:
     top = Section(data, source)
     errors: list[ConfigError] = []
@@ -121,12 +132,7 @@ def _parse(data: dict[str, Any], source: str, folder: str | Path) -> SerialArm:
             raise top.error(field, 'use a name twice')
     if joints[0].rotor_coupling != 0.0:
         raise top.error('joints[0].rotor_coupling', 'must be 0: there is no joint before')
-    # In a posture without symmetries: bodies that are points on the axis have no inertia about it.
-    own = np.abs(SerialModel(compile_chain(arm)).mass_matrix(np.linspace(0.3, 1.3, n)).diagonal())
-    for i, joint in enumerate(joints):
-        if own[i] <= _ROUNDED * own.max():
-            why = f'{joint.name} moves no mass off its axis; a URDF may lack inertias'
-            raise top.error(f'joints[{i}].link', why)
+    check_inertia(arm, source)
     return arm
 
 
