@@ -114,14 +114,17 @@ def shown(paper_arm, tmp_path, monkeypatch):
     return html
 
 
-def test_given_rates_when_reported_then_the_fastest_joint_and_its_limit_come_first(page):
+def test_given_rates_when_reported_then_the_fastest_joint_and_its_limit_come_first(page, shown):
     values = page(run({100: (1.5, -3.0)}))
     assert not values['ran_away'] and 'exceeded' not in values['verdict']
     assert tile(values, 'fastest joint')[1:] == ('3 rad/s', 'limit 20, joint2, measured', '')
-    values = page(run({k: (25.0, 0.0) for k in range(100, 200)}))
+    away = run({k: (25.0, 0.0) for k in range(100, 200)})
+    values, text = page(away), shown(away)
     assert values['verdict'].startswith('The arm exceeded its speed limit for 0.200 s (joint1: 25')
     assert tile(values, 'fastest joint').look == 'bad'
     assert spans(values['phases']) == [(history.TOO_FAST, 0.2, 0.4)]
+    assert '<p class="verdict bad">' in text
+    assert re.findall(r'[{;\s]color: (?!#000|var)[^;]*;', text) == [], 'those of the theme'
     # The truth counts where it is faster than what was measured, an infinite rate always.
     values = page(run(ground_truth=stream('position', 'fault', velocity=np.full((COUNT, 2), 30.0))))
     assert values['ran_away'] and '30 rad/s true' in values['verdict']
@@ -336,12 +339,6 @@ def test_given_a_wrong_rate_beside_offsets_then_each_has_its_end_and_unit(paper_
     assert unknown == [kind in ('rate_bias', 'noise') for kind, *_ in told]
     compare.show(compare_runs(record, record, paper_arm), Console(width=80))
     assert '-0.050 rad/s' in capsys.readouterr().out
-
-
-def test_given_a_run_that_ran_away_when_shown_then_its_colours_are_those_of_the_theme(shown):
-    page = shown(run({k: (25.0, 0.0) for k in range(100, 200)}))
-    assert '<p class="verdict bad">' in page
-    assert re.findall(r'[{;\s]color: (?!#000|var)[^;]*;', page) == []
 
 
 @pytest.mark.parametrize(('fields', 'said'), [
