@@ -22,9 +22,7 @@ from runs import ALL, MEASURED, assert_stands_alone, copied, record, rows, text
 from serial_bags import crane, crane_run, record_crane
 
 from lpv import Fault, load_arm, save_gains
-from lpv.bag.replay.replay import Replay
 from lpv.bag.run.record import load_run, node_reports
-from lpv.core.monitoring.serial_monitor import SerialSensorMonitor
 from lpv.core.serial_arm.arm_file import save_arm
 from lpv.report.certificate import beside_bag, examine
 from lpv.report.figures import draw_region
@@ -306,21 +304,10 @@ def test_given_gains_when_examined_or_drawn_then_all_is_there(paper_model, paper
     assert (tmp_path / 'a' / 'map.png').read_bytes().startswith(b'\x89PNG')
 
 
-def test_given_a_run_of_three_joints_when_reported_then_its_alarm_is_listed(tmp_path, monkeypatch):
-    measured = record_crane(tmp_path / 'measured', crane_run(faults=[LARGE]))
-    Replay(SerialSensorMonitor('/uio', crane())).run(measured, tmp_path / 'bag')
-    monkeypatch.setattr(Figure, 'savefig', lambda _, file, **options: file.write(b'drawn'))
-    written = write_report(load(tmp_path / 'bag', crane()), tmp_path / 'report')
-    page = written.read_text()
-    assert len(pictures(written)) == 6 and ['encoder2', 'bias'] in [row[:2] for row in rows(page)]
-    for said in ('1 alarm, of encoder2', 'bounds and thresholds are statistical',
-                 'joint1, joint2, joint3', 'the bag carries no gains, and none'):  # fmt: skip
-        assert said in text(page)
-    assert 'Mean squared errors (MISE, eq. (70))' not in text(page)
-
-
-def test_given_names_that_look_like_markup_then_they_are_said_as_they_are(tmp_path, call):
-    name = 'a[/b] \u8098 [red]$x_{1$'
+def test_given_three_joints_when_reported_then_names_like_markup_and_alarms_are_there(
+    tmp_path, call
+):
+    name, report = 'a[/b] \u8098 [red]$x_{1$', tmp_path / 'report' / 'report.html'
     sensors = (replace(j.sensors, name=f'{name}{j.name}') for j in crane().joints)
     joints = tuple(replace(j, sensors=s) for j, s in zip(crane().joints, sensors))
     save_arm(replace(crane(), joints=joints), tmp_path / 'arm.yaml')
@@ -328,9 +315,15 @@ def test_given_names_that_look_like_markup_then_they_are_said_as_they_are(tmp_pa
     files = ['--arm', tmp_path / 'arm.yaml', '--out', tmp_path / '[out]']
     with warnings.catch_warnings():
         warnings.simplefilter('error')
-        said = call('replay', measured, *files, '--report', tmp_path / 'report').out
+        said = call('replay', measured, *files, '--report', report.parent).out
     assert f'ALARM, {name}joint2: ' in said and f'{tmp_path}/[out]\n' in said
-    assert f'{name}joint2' in text((tmp_path / 'report' / 'report.html').read_text())
+    page = report.read_text()
+    assert len(pictures(report)) == 6
+    assert [f'{name}joint2', 'bias'] in [row[:2] for row in rows(page)]
+    for said in (f'1 alarm, of {name}joint2', 'bounds and thresholds are statistical',
+                 'joint1, joint2, joint3', 'the bag carries no gains, and none'):  # fmt: skip
+        assert said in text(page)
+    assert 'Mean squared errors (MISE, eq. (70))' not in text(page)
 
 
 def test_given_a_browser_when_it_prints_then_all_is_there_in_black_on_white(report, browser):
