@@ -273,21 +273,16 @@ def test_given_what_a_simulator_adds_when_initialised_then_it_is_left_out(init):
 
 @pytest.mark.parametrize(('changes', 'told'), [
     ((('damping="0.5"', 'damping="5e4"'), ('"500"', '"1e6"')),
-     r'warning: before it is simulated: joints\[.*rotor_inertia: is too small'),
-    ((('ixx="0.1"', 'ixx="0.9"', 2),), 'no body has the inertia of the link of shoulder'),
+     r'before it is simulated: joints\[.*rotor_inertia: is too small'),
+    ((('ixx="0.1"', 'ixx="0.9"', 2),), '.*no body has the inertia of the link of shoulder'),
+    ((), 'joints a, c turn the same body in some poses'),  # between which links have no mass
 ])  # fmt: skip
 def test_given_an_odd_urdf_when_initialised_then_it_is_warned(tmp_path, call, changes, told):
-    (tmp_path / 'arm.urdf').write_text(
-        reduce(lambda urdf, one: urdf.replace(*one), changes, GRIPPER)
-    )
-    err = call('init', tmp_path / 'new', '--urdf', tmp_path / 'arm.urdf', *HELD).err
-    assert re.search(told, err) and err.count('warning') == 1
-
-
-def test_given_links_without_mass_between_joints_when_initialised_then_it_is_told(tmp_path, call):
-    (tmp_path / 'arm.urdf').write_text(arm_urdf(ball_joint()))
-    err = call('init', tmp_path / 'new', '--urdf', tmp_path / 'arm.urdf').err
-    assert 'warning: joints a, c turn the same body in some poses' in err
+    urdf, options = (GRIPPER, HELD) if changes else (arm_urdf(ball_joint()), [])
+    urdf = reduce(lambda text, one: text.replace(*one), changes, urdf)
+    (tmp_path / 'arm.urdf').write_text(urdf)
+    err = call('init', tmp_path / 'new', '--urdf', tmp_path / 'arm.urdf', *options).err
+    assert re.search(f'warning: {told}', err) and err.count('warning') == 1
 
 
 @pytest.mark.parametrize('zero', [None, 0.0, np.pi / 3, np.pi])
