@@ -41,9 +41,12 @@ def model_of(chain: Chain) -> pinocchio.Model:
     model = pinocchio.Model()
     for i in range(len(chain.inertial)):
         place = pinocchio.SE3(chain.rotation[i], chain.translation[i])
-        model.addJoint(i, pinocchio.JointModelRZ(), place, f'joint{i}')
+        kind = pinocchio.JointModelPZ if chain.prismatic[i] else pinocchio.JointModelRZ
+        model.addJoint(i, kind(), place, f'joint{i}')
         body = pinocchio.Inertia.FromDynamicParameters(chain.inertial[i])
         model.appendBodyToJoint(i + 1, body, pinocchio.SE3.Identity())
+    model.armature = np.diag(chain.motor).copy()
+    model.gravity.linear = chain.gravity
     return model
 
 

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from places import BRINGUP
 from planar_formulas import inverse_dynamics as two_link_inverse_dynamics
 from serial_arms import middle, mixed_arm, scara, shoulder_arm, ur10_on_rail
+from serial_speed import model_of
 
 from lpv import ConfigError, LpvError, SampleError, load_arm
 from lpv.core.export import urdf
@@ -47,19 +48,6 @@ def random_chain(seed, joints):
     )  # fmt: skip
 
 
-def pinocchio_model(chain):
-    model = pin.Model()
-    for i in range(len(chain.translation)):
-        place = pin.SE3(chain.rotation[i], chain.translation[i])
-        joint = pin.JointModelPZ if chain.prismatic[i] else pin.JointModelRZ
-        model.addJoint(i, joint(), place, f'joint{i}')
-        body = pin.Inertia.FromDynamicParameters(chain.inertial[i])
-        model.appendBodyToJoint(i + 1, body, pin.SE3.Identity())
-    model.armature = np.diag(chain.motor).copy()
-    model.gravity.linear = chain.gravity
-    return model
-
-
 def random_motion(seed, joints):
     """Positions, rates and accelerations, shape (3, n)."""
     scale = np.array([[3.0], [2.0], [5.0]])
@@ -80,7 +68,7 @@ def close(found, expected, within=1e-10):
 @CASES
 def test_given_any_chain_when_moved_then_dynamics_and_poses_are_those_of_pinocchio(seed, joints):
     chain, (q, v, a) = random_chain(seed, joints), random_motion(seed, joints)
-    model, ours = pinocchio_model(chain), SerialModel(chain)
+    model, ours = model_of(chain), SerialModel(chain)
     tip = pin.SE3(chain.tip_rotation, chain.tip_translation)
     frame = model.addFrame(pin.Frame('tip', joints, 0, tip, pin.FrameType.OP_FRAME))
     data, place = model.createData(), pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
