@@ -34,6 +34,7 @@ duration: 600.0
 path: {waypoints: [{t: 0.5, x: -0.8451, y: 1.5893}, {t: 20.0, x: 0.8451, y: 1.5893}]}
 """
 WRONG = '--params-file wrong.yaml'
+UNKNOWN = 'diagnosis.sigma: is not a known parameter; known here: '
 NOWHERE = 'there is no file /nowhere/gains.yaml; gains of an arm '
 
 
@@ -77,6 +78,7 @@ def test_given_a_graph_when_a_fault_is_injected_then_the_alarm_is_on_topic_and_i
     (UioNode, '', 'arm_file: must be set'), (UioNode, '-p arm_file:=/nowhere.yaml', 'nowhere.yaml'),
     (UioNode, f'-p arm_file:={BRINGUP / "arms" / "real_arm.yaml"}', 'for another arm'),
     (UioNode, f'{ARM} -p torque_source:=guess', 'torque_source'),
+    (UioNode, f'{ARM} -p diagnosis.sigma:=5.0', f'{UNKNOWN}hours_between_false_alarms, '),
     (UioNode, '-p broken', '--ros-args: '), (UioNode, '--nix', '--ros-args: '),
     (UioNode, '-r __ns:=/lpv/', '--ros-args: '),
     (UioNode, '--params-file /nowhere/gains.yaml', f'{NOWHERE}are written by: lpv design'),

@@ -18,7 +18,7 @@ from sensor_msgs.msg import JointState
 from serial_bags import TOPIC, crane_file, crane_run, record_crane
 from std_srvs.srv import Trigger
 
-from lpv import Alarm, AlarmEvent, ConfigError, Fault, Monitor, load_arm, load_gains, load_scenario
+from lpv import Alarm, AlarmEvent, Fault, Monitor, load_arm, load_gains, load_scenario
 from lpv.bag.replay.replay import Replay
 from lpv.bag.rosbag.reading import open_bag
 from lpv.core.monitoring import answers, serial_monitor
@@ -236,12 +236,6 @@ def test_given_a_driver_that_names_no_joints_at_first_when_it_does_then_they_are
         assert arm.recover() <= RECOVERY and arm.state.last.mode < int(Mode.STALE)
 
 
-def test_given_a_subscription_of_default_qos_then_corrected_joint_states_reach_it():
-    with node_of(UioNode, arm_file='paper') as node:
-        offered, asked = node._corrected_out.qos_profile, QoSProfile(depth=10)
-        assert qos_check_compatible(offered, asked)[0] != QoSCompatibility.ERROR
-
-
 def test_given_other_joints_first_then_they_are_no_error_unless_the_arm_stays_away():
     with node_of(UioNode, arm_file='paper') as node:
         gripper = JointState(name=['finger'], position=[0.0])
@@ -267,11 +261,13 @@ def test_given_many_measurements_at_once_when_observed_then_each_is_answered(arm
     assert len(arm.outputs['state'].sent) == count
 
 
-def test_given_an_arm_when_configured_then_the_first_fault_has_nothing_to_compile(monkeypatch):
+def test_given_an_arm_when_configured_then_faults_are_compiled_and_default_qos_hears(monkeypatch):
     warmed, kind = [], serial_monitor.SerialSensorMonitor
     monkeypatch.setattr(kind, 'warm_up_faults', lambda self: warmed.append(self))
     with node_of(UioNode, arm_file='paper') as node:
-        assert warmed == [node._monitor]
+        assert warmed == [node._monitor], 'the first fault has nothing to compile'
+        offered, asked = node._corrected_out.qos_profile, QoSProfile(depth=10)
+        assert qos_check_compatible(offered, asked)[0] != QoSCompatibility.ERROR
 
 
 @pytest.mark.parametrize('compiled', [(), ('first', 'second')])
@@ -446,14 +442,6 @@ def test_given_a_long_silence_when_observed_then_the_log_tells_ever_more_seldom(
             assert ['stale' in text for _, text in told] == [True, False]
 
 
-def test_given_a_misspelt_tuning_when_started_then_it_is_refused_by_name():
-    with (
-        pytest.raises(ConfigError, match='diagnosis.sigma: is not a known parameter.*sigmas'),
-        node_of(UioNode, **{'arm_file': 'paper', 'diagnosis.sigma': 5.0}),
-    ):
-        pass
-
-
 def test_given_an_observer_that_died_with_an_alarm_when_restarted_then_it_says_so(arm, tmp_path):
     path = tmp_path / 'new' / 'alarms.json'
     died = OpenAlarms(path)
@@ -535,16 +523,13 @@ def test_given_numbers_that_are_nan_when_put_into_messages_then_they_are_not_tru
     assert (second.kind, second.size, second.bound) == ('drift', 0.0, np.inf)
 
 
-def test_given_a_change_that_another_callback_refuses_then_the_diagnosis_goes_on_as_it_was():
+def test_given_a_running_node_when_tuned_then_its_log_says_so_and_not_what_is_refused(capfd):
     with node_of(UioNode, arm_file='paper') as node:
         refused = SetParametersResult(successful=False)
         node._on_set_parameters_callbacks.append(lambda _: refused)  # the last to be asked
         node.set_parameters([Parameter('diagnosis.sigmas', value=5.0)])
         assert node._monitor._monitor.settings.sigmas == 4.0
-
-
-def test_given_a_running_node_when_tuned_then_its_log_says_so_and_not_what_is_refused(capfd):
-    with node_of(UioNode, arm_file='paper') as node:
+        node._on_set_parameters_callbacks.pop()
         for value in (5.0, 500.0):
             node.set_parameters([Parameter('diagnosis.sigmas', value=value)])
     said = capfd.readouterr().err
