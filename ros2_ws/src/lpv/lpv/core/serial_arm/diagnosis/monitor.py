@@ -48,7 +48,7 @@ from lpv.core.serial_arm.diagnosis.fault_filter import (
 from lpv.core.serial_arm.diagnosis.followed_faults import FollowedFaults
 from lpv.core.serial_arm.diagnosis.frozen_readings import frozen_readings, frozen_with
 from lpv.core.serial_arm.diagnosis.healthy_set import Guarantee, HealthySet
-from lpv.core.serial_arm.diagnosis.information import ROBUST
+from lpv.core.serial_arm.diagnosis.information import ROBUST, probability
 from lpv.core.serial_arm.diagnosis.learning import Learned, learned_of
 from lpv.core.serial_arm.diagnosis.linear_bank import STARTS
 from lpv.core.serial_arm.diagnosis.lines import BEND
@@ -438,7 +438,19 @@ class SerialMonitor:
         if sensor.active:
             self._raise(i, kind, now, fault, guaranteed=guaranteed)
         else:
-            self._raise(i, kind, now, size, sigma, guaranteed)
+            least = float(self.sampler.usual[i]) + self._offset_may_end(i, size)
+            self._raise(i, kind, now, size, max(sigma, least), guaranteed)
+
+    def _offset_may_end(self, i: int, jump: float) -> float:
+        """Standard deviation by an offset that nobody named and that a jump may end [rad].
+
+        It may have been there at the start; gravity and motion tell, where they show offsets.
+        """
+        level, scale = self.estimator.level, float(self.scales[i])
+        mean, sigma = float(level.mean[i]), float(level.sigma[i])
+        odds = math.log(priors.FAULT_AT_START) - jump * (mean + 0.5 * jump) / sigma**2
+        likely = probability(odds) > self.settings.beyond and sigma < priors.WIDEST_LEVEL * scale
+        return abs(jump) / self.settings.sigmas if likely else 0.0
 
     def _is_no_motion(self, i: int, jump: float) -> bool:
         """Whether no healthy arm moves so far between two of the last samples.
