@@ -121,6 +121,19 @@ def test_given_an_offset_that_nobody_named_when_it_ends_then_the_alarm_of_its_ju
     assert abs(alarm.size) < alarm.bound
 
 
+@pytest.mark.parametrize('arm', ['chain3', 'pausing', 'ur10'])
+def test_given_a_drift_that_nobody_named_when_it_ends_in_a_gap_then_its_alarm_holds_none(arm):
+    subject = _subject(arm).with_rates('derived')
+    part, drift = derived(subject.streams(1)).part(2.0, 8.0), Injected(0, ONSET, ONSET + 0.6, -0.3)
+    matrix = np.eye(len(subject.arm.joints))
+    window = inject(part, replace(BY_NAME['drift 0.3'], size=1.0), [drift], True, matrix, None)
+    missing = slice(*map(window.stream.index, (ONSET + 0.5, ONSET + 0.7)))
+    window.stream.samples[missing, :2, 0] = np.nan
+    (alarm,) = [one for _, one in subject.answers(window.stream).events if one.kind == 'bias']
+    assert alarm.detected >= window.stream.stamps[missing.stop]
+    assert 0.1 < abs(alarm.size) < alarm.bound
+
+
 @pytest.mark.parametrize(('arm', 'rate', 'duration'), [('chain3', -0.05, 1.0), ('ur10', 0.05, 4.0)])
 def test_given_a_drift_taken_for_a_scale_error_when_it_ends_then_alarms_are_as_sure_as_estimates(
     arm, rate, duration

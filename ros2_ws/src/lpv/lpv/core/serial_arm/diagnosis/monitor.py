@@ -33,7 +33,7 @@ from lpv.core.serial_arm.diagnosis.bank import (
     in_columns,
 )
 from lpv.core.serial_arm.diagnosis.decision import DECISION, STILL_TIME, Certified, Parts, Stage
-from lpv.core.serial_arm.diagnosis.end_of_fault import EndOfFault
+from lpv.core.serial_arm.diagnosis.end_of_fault import EndOfFault, end_of_fault
 from lpv.core.serial_arm.diagnosis.estimator import (
     HORIZON,
     NOISE_KNOWN_AFTER,
@@ -258,10 +258,10 @@ class SerialMonitor:
             is_over = abs(way[i] + growth[i] + fault[i]) < reach[i]
             if not sensor.active:
                 if self.unread[i] and not lasts and abs(way[i]) > least[i]:
-                    sigma = float(reach[i]) / sigmas
+                    sigma, ends = float(reach[i]) / sigmas, self._may_end(i, float(way[i]))
                     self.followed.take_jump(i, float(way[i]), sigma)
                     self.healthy = self.guarantee = None  # the size of the jump is uncertain
-                    self._raise(i, 'bias', time, float(way[i]), sigma)
+                    self._raise(i, 'bias', time, float(way[i]), sigma + ends)
             elif sensor.kind == 'noise' or abs(fault[i]) < least[i]:
                 continue
             elif is_over and not lasts:
@@ -440,6 +440,12 @@ class SerialMonitor:
         else:
             least = float(self.sampler.usual[i]) + self._offset_may_end(i, size)
             self._raise(i, kind, now, size, max(sigma, least), guaranteed)
+
+    def _may_end(self, i: int, jump: float) -> float:
+        """Standard deviation by a fault that nobody named and that may end in a gap [rad]."""
+        end = end_of_fault(self.readings, self.bank, i, jump, 0.0)
+        ended = abs(jump) / self.settings.sigmas if end.share > self.settings.beyond else 0.0
+        return max(ended, self._offset_may_end(i, jump))
 
     def _offset_may_end(self, i: int, jump: float) -> float:
         """Standard deviation by an offset that nobody named and that a jump may end [rad].
