@@ -121,6 +121,21 @@ def test_given_an_offset_that_nobody_named_when_it_ends_then_the_alarm_of_its_ju
     assert abs(alarm.size) < alarm.bound
 
 
+@pytest.mark.parametrize(('arm', 'kind', 'k', 'seed'), [
+    ('chain3', 'short drift', 2, 101), ('pausing', 'drift 0.1', 12, 202),
+])  # fmt: skip
+def test_given_an_end_that_passes_for_a_scale_error_then_bounds_still_hold_none(arm, kind, k, seed):
+    (cell,) = cells([arm], [False], ['derived'], [BY_NAME[kind]])
+    subject, window, _ = draw(cell, k, seed)
+    answers, (first, second) = subject.answers(window.stream), window.faults
+    own = [one for _, one in answers.events if one.sensor_index == first.sensor]
+    (alarm,) = [one for one in own if one.kind == 'scale' and one.event is AlarmEvent.UPDATED]
+    assert alarm.detected > window.stream.stamps[0] + first.end * 1e9
+    assert abs(alarm.size) < alarm.bound
+    span = first.end + SETTLED, second.onset
+    assert outside_bounds(answers, window.stream.stamps, window.truth, span) < 0.01
+
+
 @pytest.mark.parametrize('arm', ['chain3', 'pausing', 'ur10'])
 def test_given_a_drift_that_nobody_named_when_it_ends_in_a_gap_then_its_alarm_holds_none(arm):
     subject = _subject(arm).with_rates('derived')

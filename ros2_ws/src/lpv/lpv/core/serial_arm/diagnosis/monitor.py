@@ -569,8 +569,9 @@ class SerialMonitor:
     def _weigh_jumps(self, now: float) -> Stage:
         """Whether jumps were scale errors, or the ends of faults that nobody had noticed."""
         following = Stage.GUARANTEE
-        for scaled in self._jumps.scale_errors(now, self._sure):
-            self._begin_following(scaled.filter(self.readings.ended()), 1.0)
+        for scaled, ended in self._jumps.scale_errors(now, self._sure):
+            spread = 1.0 / self.settings.sigmas if ended > self.settings.beyond else 0.0
+            self._begin_following(scaled.filter(self.readings.ended(), spread), 1.0)
             following = Stage.END  # the estimate is still that of the readings before
         for end in self._jumps.ended_faults(now, self.settings.probability_of_wrong_name):
             self._end_unnoticed(end, now)

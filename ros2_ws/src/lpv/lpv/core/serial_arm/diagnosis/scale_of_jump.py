@@ -65,10 +65,12 @@ class ScaleOfJump:
         """What a reading, as corrected by the jump, is off by if the hypothesis is true [rad]."""
         return self.size * (reading - self.reading)
 
-    def filter(self, now: float) -> FaultFilter:
+    def filter(self, now: float, spread: float) -> FaultFilter:
         """Filter of the scale error, at the end of the newest balance.
 
         The fault was J at y0; how it grows with the way is known as far as an offset is excluded.
+        While the jump may have ended a fault, ``spread`` is the share of the error that is one
+        standard deviation, so that bounds hold none.
         """
         way = np.array([1.0, -self.reading, 0.0])
         one = FaultFilter(self.joint, 'scale', self.time, updated=now)
@@ -76,6 +78,8 @@ class ScaleOfJump:
         variance = self.sigma**2 + (1.0 - self.share) * self.size**2
         one.covariance = variance * np.outer(way, way)
         one.covariance[1, 1] += (self.sigma * self.reading) ** 2
+        # A reading is off by its share s / (1 + s).
+        one.covariance[0, 0] += (spread * self.size * (1.0 + self.size)) ** 2
         return one
 
     def _gain(self, estimator: OffsetEstimator) -> float:

@@ -9,6 +9,7 @@ from lpv.core.serial_arm.diagnosis.bank import Bank, Compared
 from lpv.core.serial_arm.diagnosis.end_of_fault import EndOfFault, end_of_fault
 from lpv.core.serial_arm.diagnosis.estimator import HORIZON
 from lpv.core.serial_arm.diagnosis.fault_filter import LARGEST_SCALE
+from lpv.core.serial_arm.diagnosis.information import probability
 from lpv.core.serial_arm.diagnosis.readings import Readings
 from lpv.core.serial_arm.diagnosis.scale_of_jump import ScaleOfJump
 
@@ -55,8 +56,10 @@ class UndecidedJumps:
         for scaled in self.scaled.values():
             scaled.settle(self._readings.estimator)
 
-    def scale_errors(self, now: float, sure: float) -> Iterator[ScaleOfJump]:
+    def scale_errors(self, now: float, sure: float) -> Iterator[tuple[ScaleOfJump, float]]:
         """Jumps that are named scale errors; they are open no more.
+
+        With each comes the probability that it ended a fault instead.
 
         ``sure`` is the log Bayes factor by which a cause is named against another one.
         """
@@ -66,7 +69,7 @@ class UndecidedJumps:
             over = -np.inf if end is None else end.odds - np.logaddexp(0.0, one.odds)
             if one.is_named(now, sure) and over < -sure:
                 self.forget(i)
-                yield one
+                yield one, probability(float(over))
             elif now - one.time > HORIZON:
                 del self.scaled[i]
 
