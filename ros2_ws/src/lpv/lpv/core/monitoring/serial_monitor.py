@@ -560,6 +560,7 @@ class SerialSensorMonitor:
             return  # the gate has seen later stamps, of samples without use
         self._stamp, self._reading, self._newest = stamp, reading.copy(), record.copy()
         self._read.stamp[0], self._read.position[:] = stamp, self._to_joints @ reading
+        self._turns.went_on(stamp, self._read.position)
         self._gate.follow(stamp)
         self._monitor.went_on(stamp)
 

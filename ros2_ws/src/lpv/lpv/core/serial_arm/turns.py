@@ -72,3 +72,8 @@ class Turns:
         way, step = jump - TURN * whole, velocity * time
         holds = np.abs(step - jump) < np.abs(step - way)
         return position - TURN * turns, velocity - np.where(holds, TURN * whole / time, 0.0)
+
+    def went_on(self, stamp: int, position: FloatArray) -> None:
+        """Continue from positions, shape (n,), that were taken at a stamp [ns] as they came."""
+        self._last, self._turns = position.copy(), np.zeros(len(position))
+        self._stamps = np.full(len(position), stamp)

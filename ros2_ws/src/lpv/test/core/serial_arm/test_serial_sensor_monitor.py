@@ -552,6 +552,16 @@ def test_given_a_reading_that_fails_where_it_wraps_then_it_is_continued_as_one_w
         np.testing.assert_allclose(found - found[0], faulty - faulty[0], atol=1e-9)
 
 
+def test_given_half_a_turn_while_a_loop_took_the_samples_then_no_turn_is_taken_out():
+    monitor = SerialSensorMonitor('/uio', with_joints(ARM, 0, limits=JointLimits(velocity=3.0)))
+    stamps, ones = START + STEP * np.arange(20), np.ones((20, 3))
+    answers = monitor.take_many(stamps, ones, ones, ones)
+    turned = ones + 4.0 * np.eye(3)[0]
+    monitor.went_on(int(stamps[-1]) + STEP, turned[0], answers.plain[-1:])
+    answers = monitor.take_many(stamps + 30 * STEP, turned, 0.0 * ones, ones)
+    np.testing.assert_array_equal(answers.state.measured_position[1:], turned[1:])
+
+
 def test_given_a_joint_that_turns_for_an_hour_when_observed_then_its_readings_stay_plausible():
     endless = with_joints(ARM, 0, limits=JointLimits(velocity=3.0))
     monitor = SerialSensorMonitor('/uio', endless)
