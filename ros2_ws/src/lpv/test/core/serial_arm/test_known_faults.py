@@ -290,3 +290,14 @@ def test_given_a_push_then_it_is_trusted_and_bounds_of_readings_that_do_not_expl
     pushed, free = (answered(arm, simulated(arm, pushes=one)) for one in ((push,), ()))
     assert pushed.state.trustworthy[500:].all()
     assert (pushed.fault.bound[2500:3000, 1:] < 1.5 * free.fault.bound[2500:3000, 1:]).all()
+
+
+def test_given_a_gap_behind_a_scale_error_beside_an_offset_then_the_offset_is_no_part_of_it():
+    arm = shoulder_arm()
+    faults = Fault('encoder2', 'bias', 0.0, size=0.5), Fault('encoder2', 'scale', 4.5, size=-0.25)
+    run = without(simulated(arm, *faults, seed=3, duration=5.2), slice(2266, 2415))
+    answers = answered(arm, run)
+    named, alarm = answers.events[-1]
+    assert alarm.kind == 'scale'
+    error = answers.fault.estimate - (run.samples[:, 0] - run.position)
+    assert (np.abs(error) < answers.fault.bound)[named:].all()

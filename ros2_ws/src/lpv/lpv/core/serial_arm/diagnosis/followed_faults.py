@@ -113,14 +113,15 @@ class FollowedFaults:
         """What the correction is now is no jump of the readings."""
         self._noted = self._readings.sampler.correction.copy()
 
-    def take_out_level(self, i: int) -> None:
-        """Take the estimated offset of sensor i out of the readings from now on."""
+    def take_out_level(self, i: int) -> float:
+        """Take the estimated offset of sensor i [rad] out of the readings from now on."""
         level, sampler = self._readings.estimator.level, self._readings.sampler
         offset = float(level.mean[i])
         self._jumped[1, i] += level.sigma[i] ** 2
         sampler.correction[i] += offset
         self._noted[i] += offset
         self._readings.estimator.move_reference(i, -offset)
+        return offset
 
     def begin(self, one: FaultFilter) -> None:
         """Follow a fault, and take it out of the readings since it began."""

@@ -221,13 +221,13 @@ class SerialMonitor:
         """
         if following is not None:
             self._compare_after_gap(*following)
+        self._jumps.settle()
         for i, sensor in enumerate(self.sensors):
             sensor.wrong_until = -math.inf  # of no new balance
             if sensor.active and sensor.level:  # new balances know of no offset
-                self.followed.take_out_level(i)
+                self._jumps.take_out(i, self.followed.take_out_level(i))
                 self.healthy = self.guarantee = None  # readings are changed
                 sensor.level = sensor.unproved = False
-        self._jumps.settle()
         restart(self.sampler, self.estimator.balance)
         if self.healthy is not None:
             self.healthy.restart()

@@ -49,6 +49,11 @@ class UndecidedJumps:
         self.ends.pop(i, None)
         self.scaled.pop(i, None)
 
+    def take_out(self, i: int, offset: float) -> None:
+        """An offset is taken out of the readings of sensor i from now on [rad]."""
+        if i in self.scaled:
+            self.scaled[i].reading -= offset
+
     def settle(self) -> None:
         """Keep what the balances say, which are about to be forgotten."""
         for end in self.ends.values():
