@@ -301,3 +301,11 @@ def test_given_a_gap_behind_a_scale_error_beside_an_offset_then_the_offset_is_no
     assert alarm.kind == 'scale'
     error = answers.fault.estimate - (run.samples[:, 0] - run.position)
     assert (np.abs(error) < answers.fault.bound)[named:].all()
+
+
+def test_given_an_offset_larger_than_the_scale_error_beside_it_then_the_alarm_stays():
+    arm = shoulder_arm()
+    faults = Fault('encoder2', 'bias', 0.0, size=0.5), Fault('encoder2', 'scale', 5.0, size=-0.25)
+    run = without(simulated(arm, *faults, seed=4, duration=6.8), slice(2526, 2675))
+    told = [event for _, event in answered(arm, run).events if event.sensor == 'encoder2']
+    assert told[-1].kind == 'scale' and told[-1].event is AlarmEvent.UPDATED

@@ -89,7 +89,8 @@ class FollowedFaults:
         one = self.filters.get(i)
         if one is None or not one.is_scale:
             return float(self.taken_out()[i])
-        return float(one.mean[0]) * self._readings.farthest(i)
+        fault = one.mean[0] * self._readings.all_blocks()[:, i] + one.mean[1]
+        return float(fault[np.abs(fault).argmax()])
 
     def note_jumps(self) -> None:
         """Jumps were found at the last sample."""
