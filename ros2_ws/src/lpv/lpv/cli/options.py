@@ -213,11 +213,11 @@ other            second bag, of the same measurements; what one bag does not hol
 --out FOLDER     folder for comparison.json and pictures
 --json           print JSON in place of tables
 --mise=0.05[0:1e9]  tolerated relative change of mean squared errors
---delay=0.02[0:1e9]  tolerated change of the time of an alarm [s]
---signal=0.001[0:1e9]  tolerated difference of estimates [rad], [rad/s]
+--delay=0.02[0:1e9]  tolerated change of the times of an alarm [s]
+--signal=0.001[0:1e9]  tolerated difference of estimates [rad], [rad/s], and of confidence
 --flags=0.002[0:1e9]  tolerated share of samples with another mode, state or alarm
 --missing=0.0[0:1e9]  tolerated share of answers that only one bag has
---exact          tolerate nothing: every bit of every answer must agree
+--exact          tolerate nothing: every bit of estimates, of times and confidence of alarms
 """,
     'report': """write the report of a bag
 bag                  rosbag2 directory or MCAP file

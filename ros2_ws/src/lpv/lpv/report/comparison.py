@@ -44,7 +44,8 @@ class Tolerances:
 
     mise: float = 0.05  # relative change of a figure of the table
     delay: float = 0.02  # change of the time of an alarm event [s]
-    signal: float = 1e-3  # largest difference of estimates, bounds and thresholds [rad], [rad/s]
+    # largest difference of estimates, bounds, thresholds [rad], [rad/s] and confidences
+    signal: float = 1e-3
     flags: float = 0.002  # share of samples whose mode, state or alarm differs
     missing: float = 0.0  # share of answers that only one of the runs has
 
@@ -140,7 +141,7 @@ def compare_runs(
     common = np.intersect1d(stamps[0], stamps[1])
     if not len(common):
         raise LpvError('the bags have no answer with the same stamp: they are not of one recording')
-    pairs = _pairs(first, second, arm, tolerances.delay)
+    pairs = _pairs(first, second, arm, tolerances)
     first, second = _restricted(first, common), _restricted(second, common)
     figures = _figures(first, second, arm, tolerances.mise)
     differences = list(_differences(first, second, arm, tolerances))
@@ -210,7 +211,9 @@ def _differences(
             yield Figure(f'{label} {k + 1}', own, allowed.signal, largest, same)
 
 
-def _pairs(first: RunRecord, second: RunRecord, arm: SerialArm, delay: float) -> list[AlarmPair]:
+def _pairs(
+    first: RunRecord, second: RunRecord, arm: SerialArm, allowed: Tolerances
+) -> list[AlarmPair]:
     """Alarms of one sensor that are nearest in time belong together."""
     left, pairs = list(episodes(second)), []
     shift = (second.stamps['joint_states'][0] - first.stamps['joint_states'][0]) / 1e9
@@ -225,10 +228,12 @@ def _pairs(first: RunRecord, second: RunRecord, arm: SerialArm, delay: float) ->
         same = other is not None and alarm.kind == other.kind
         if other is not None:
             left.remove(other)
-            times = ((alarm.raised, other.raised), (_end(alarm), _end(other)))
+            times = [(alarm.raised, other.raised), (_end(alarm), _end(other))]
+            times.append((alarm.onset, other.onset))
             # Differences of seconds as floats have nanoseconds of rounding.
             gaps = (0.0 if a == b + shift else abs(a - (b + shift)) for a, b in times)
-            same &= max(gaps) <= delay + 1e-9
+            same &= max(gaps) <= allowed.delay + 1e-9
+            same &= abs(alarm.confidence - other.confidence) <= allowed.signal
         pairs.append(AlarmPair(alarm, other, same, alarm.unit(arm)))
     pairs += [AlarmPair(None, other, False, other.unit(arm)) for other in left]
     return sorted(pairs, key=lambda pair: (pair.first or pair.second).raised)  # type: ignore[union-attr]

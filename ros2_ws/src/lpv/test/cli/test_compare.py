@@ -2,7 +2,7 @@ import itertools
 import json
 import re
 from copy import copy
-from dataclasses import asdict
+from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
@@ -97,6 +97,9 @@ def test_given_alarms_or_numbers_of_one_run_when_compared_then_they_differ(repla
     assert [p.second is None for p in pairs] == [not p.same for p in pairs] == [False, True, False]
     pairs = compare_runs(second, first, paper_arm).alarms
     assert [p.first is None for p in pairs] == [False, True, False]
+    for change in ({'confidence': 0.5}, {'onset': 0}):
+        second.alarms = [replace(alarm, **change) for alarm in first.alarms]
+        assert not any(pair.same for pair in compare_runs(first, second, paper_arm).alarms), change
     values = second.streams['fault_estimate']['estimate'].copy()
     values[7, 1] = np.nan
     second.streams['fault_estimate'] = {**second.streams['fault_estimate'], 'estimate': values}

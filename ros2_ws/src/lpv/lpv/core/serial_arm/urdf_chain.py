@@ -249,7 +249,7 @@ def _joint(model: 'pinocchio.Model', index: int, urdf: Urdf, source: str) -> Ser
         refused = f'branches off {before} beside {", ".join(beside)}: '
         refused += 'the arm is not a chain'
     elif not model.lowerPositionLimit[index - 1] < model.upperPositionLimit[index - 1]:
-        refused = 'has no lower limit below an upper one'
+        refused = 'has no lower limit below an upper one (continuous joints have none)'
     if refused:
         raise ConfigError('urdf', f'joint {name!r} {refused}; {_CHOOSE}', source)
     placement = model.jointPlacements[index]

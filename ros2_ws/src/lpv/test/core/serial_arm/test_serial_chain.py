@@ -136,7 +136,7 @@ NO_ARM = {
     "'b': multiplier": (MOUNT, f'<mimic joint="a" offset="1e99"/>{MOUNT}'),
     "'b' is floating": (B, B.replace('revolute', 'floating')),
     "'b' is planar": (B, B.replace('revolute', 'planar')),
-    "'a' has no lower limit below": ('lower="-1" upper="2"', ''),
+    r"'a' has no lower limit below .*\(continuous joints": ('lower="-1" upper="2"', ''),
     "'a' has no lower limit": ('lower="-1" upper="2"', 'lower="2" upper="-1"'),
     "'pan' follows 'a'": (END, BRANCH.replace('<axis', '<mimic joint="a"/><axis'), {}, 'tool'),
     'mass element; .*Link .one': ('<mass value="3"/>', ''),
