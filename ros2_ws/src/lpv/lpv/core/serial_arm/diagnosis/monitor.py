@@ -258,10 +258,12 @@ class SerialMonitor:
             is_over = abs(way[i] + growth[i] + fault[i]) < reach[i]
             if not sensor.active:
                 if self.unread[i] and not lasts and abs(way[i]) > least[i]:
-                    sigma, ends = float(reach[i]) / sigmas, self._may_end(i, float(way[i]))
-                    self.followed.take_jump(i, float(way[i]), sigma)
+                    jump, sigma = float(way[i]), float(reach[i]) / sigmas
+                    end = end_of_fault(self.readings, self.bank, i, jump, 0.0)
+                    ends = end.share > self.settings.beyond or self._may_end_offset(i, jump)
+                    self.followed.take_jump(i, jump, sigma)
                     self.healthy = self.guarantee = None  # the size of the jump is uncertain
-                    self._raise(i, 'bias', time, float(way[i]), sigma + ends)
+                    self._raise(i, 'bias', time, jump, sigma + ends * abs(jump) / sigmas)
             elif sensor.kind == 'noise' or abs(fault[i]) < least[i]:
                 continue
             elif is_over and not lasts:
@@ -438,25 +440,20 @@ class SerialMonitor:
         if sensor.active:
             self._raise(i, kind, now, fault, guaranteed=guaranteed)
         else:
-            least = float(self.sampler.usual[i]) + self._offset_may_end(i, size)
-            self._raise(i, kind, now, size, max(sigma, least), guaranteed)
+            if self._may_end_offset(i, size):
+                least = abs(size) / self.settings.sigmas
+                sigma = max(sigma, float(self.sampler.usual[i]) + least)
+            self._raise(i, kind, now, size, sigma, guaranteed)
 
-    def _may_end(self, i: int, jump: float) -> float:
-        """Standard deviation by a fault that nobody named and that may end in a gap [rad]."""
-        end = end_of_fault(self.readings, self.bank, i, jump, 0.0)
-        ended = abs(jump) / self.settings.sigmas if end.share > self.settings.beyond else 0.0
-        return max(ended, self._offset_may_end(i, jump))
-
-    def _offset_may_end(self, i: int, jump: float) -> float:
-        """Standard deviation by an offset that nobody named and that a jump may end [rad].
+    def _may_end_offset(self, i: int, jump: float) -> bool:
+        """Whether a jump may end an offset that nobody named.
 
         It may have been there at the start; gravity and motion tell, where they show offsets.
         """
         level, scale = self.estimator.level, float(self.scales[i])
         mean, sigma = float(level.mean[i]), float(level.sigma[i])
         odds = math.log(priors.FAULT_AT_START) - jump * (mean + 0.5 * jump) / sigma**2
-        likely = probability(odds) > self.settings.beyond and sigma < priors.WIDEST_LEVEL * scale
-        return abs(jump) / self.settings.sigmas if likely else 0.0
+        return probability(odds) > self.settings.beyond and sigma < priors.WIDEST_LEVEL * scale
 
     def _is_no_motion(self, i: int, jump: float) -> bool:
         """Whether no healthy arm moves so far between two of the last samples.
