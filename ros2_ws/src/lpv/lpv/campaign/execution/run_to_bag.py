@@ -68,8 +68,7 @@ def write_signals(arm: SerialArm, run: Run, path: str | Path) -> None:
     stop = run.safe_stop
     command = np.where(stop[:, None], 0.0, run.command)
     known = ('position', 'velocity', 'fault', 'disturbance')
-    gains = [joint.torque_gain for joint in arm.joints]
-    truth = {name: getattr(run, name) for name in known} | {'torque': run.effort * gains}
+    truth = {name: getattr(run, name) for name in known} | {'torque': run.effort * arm.torque_gain}
     names = ('position', 'velocity', 'acceleration')
     reference = dict(zip(names, run.path[:, run.place])) | {'tip_position': run.tip[run.place]}
     kept, everywhere = ~run.lost, np.ones(len(run.time), bool)

@@ -212,7 +212,7 @@ def check_units(seen: Heard, arm: SerialArm) -> Finding | None:
     if not (turns and arm.effort_includes_gravity and known.any()) or not effort[known].any():
         return None
     model = SerialModel(compile_chain(arm))
-    torque = effort[known] * [joint.torque_gain for joint in arm.joints]
+    torque = effort[known] * arm.torque_gain
     gravity = np.abs(model.gravity(position[known])).max()
 
     def residual(q: np.ndarray) -> float:

@@ -158,7 +158,7 @@ class SerialSensorMonitor:
         self._independent = arm.sensors().independent
         self._to_sensors, self._to_joints = mixing(arm.joints_to_sensors()), arm.sensors_to_joints()
         self._without_rates = np.array([rate == 'none' for rate in rates])
-        self._torque_gain = np.array([joint.torque_gain for joint in arm.joints])
+        self._torque_gain = np.array(arm.torque_gain)
         endless = np.array([joint.is_endless for joint in arm.joints])
         self._endless = np.abs(arm.joints_to_sensors()) @ endless > 0.0
         self._gains = gains

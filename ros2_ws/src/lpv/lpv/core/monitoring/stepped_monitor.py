@@ -66,7 +66,7 @@ class SteppedMonitor(SerialMonitor):
         self._call = Entries()
         # Efforts that leave out the weight are none: dynamics without it are not those of an arm.
         known = 1.0 if arm.effort_includes_gravity else np.nan
-        self._efforts = known * np.array([joint.torque_gain for joint in arm.joints])
+        self._efforts = known * np.array(arm.torque_gain)
         super().__init__(arm, parameters)
         if uio is not None:
             uio.retune(self.settings.sigmas)

@@ -394,6 +394,11 @@ class SerialArm:
         """Largest joint torques, one for each joint [N m]."""
         return tuple(joint.limits.torque for joint in self.joints)
 
+    @property
+    def torque_gain(self) -> tuple[float, ...]:
+        """Joint torques by unit of what drives report as effort, one for each joint."""
+        return tuple(joint.torque_gain for joint in self.joints)
+
     def sensors(self) -> SensorArrays:
         """What is stated of the sensors, joint by joint."""
         every = [joint.sensors for joint in self.joints]

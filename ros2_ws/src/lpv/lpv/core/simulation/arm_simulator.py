@@ -337,7 +337,7 @@ def plant_constants(
         substeps=int(count),
         push_deviation=float(deviation),
         torque_limit=np.array(arm.torque_limit, float),
-        effort_gain=np.array([joint.torque_gain for joint in arm.joints], float),
+        effort_gain=np.array(arm.torque_gain, float),
         position_noise=noise * sensors.position_noise,
         velocity_noise=noise * sensors.velocity_noise,
         quantization=sensors.quantization,

@@ -129,7 +129,7 @@ def find_mistakes(arm: SerialArm, recordings: Sequence[Recording]) -> list[Mista
 
 def _slow(arm: SerialArm, segments: Sequence[Segment]) -> tuple[Segment, ...]:
     """Torques below the bandwidth of the analysis, in no more samples than that needs."""
-    gain = np.array([joint.torque_gain for joint in arm.joints])
+    gain = np.array(arm.torque_gain)
     delay = np.array([joint.effort_delay for joint in arm.joints])
     bands = find_bandwidths(list(segments))
     total = sum(len(s.time) for s in segments)

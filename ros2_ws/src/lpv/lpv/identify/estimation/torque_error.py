@@ -127,7 +127,7 @@ def _correlation_length(
 
 def model_residual(arm: SerialArm, segment: Segment) -> tuple[Motion, np.ndarray]:
     """Motion of a segment, and its efforts minus the torques of an arm's model [N m]."""
-    gain = np.array([joint.torque_gain for joint in arm.joints])
+    gain = np.array(arm.torque_gain)
     delay = np.array([joint.effort_delay for joint in arm.joints])
     scaled = replace(segment, effort=segment.effort * gain)
     motion = smooth(scaled, find_bandwidths([segment]), False, 0.0 * delay, delay)

@@ -53,7 +53,7 @@ class Workshop:
     def __init__(self, arm: SerialArm, recordings: Sequence[Recording], share: float = 1.0):
         self.arm, self.n = arm, len(arm.joints)
         self.share = share  # of each segment that is fitted, its first part
-        self.gain = np.array([joint.torque_gain for joint in arm.joints])
+        self.gain = np.array(arm.torque_gain)
         self.segments = [segment for one in recordings for segment in split(one)]
         self.warnings = [text for one in recordings for text in one.warnings]
         self.warnings += check_motion(self.segments, arm.joint_names)
