@@ -48,7 +48,7 @@ def nodes_of(folder):
 def demo(tmp_path_factory):
     """Output folder, terminal text and recording of the main job, shortened."""
     out = tmp_path_factory.mktemp('demo')
-    scenario = shortened(out, 'two_faults', 0.5, 0.8, duration=3.2)
+    scenario = shortened(out, 'two_faults', 0.5, 0.8, duration=3.6)
     words = 'demo', '--scenario', scenario, '--seed', SEED, '--out', out
     return out, ros.lpv(*words), load_run(out / 'bag')
 
@@ -67,7 +67,7 @@ def test_given_the_demo_when_run_then_it_is_the_loop_without_nodes_and_all_files
     out, text, record = demo
     arm, gains = load_arm('paper'), load_gains(out / 'gains.yaml')
     scenario = replace(load_scenario(out / 'scenario.yaml'), seed=SEED)
-    assert commands_as_offline(record, arm, run_closed_loop(arm, scenario, gains)) > 1550
+    assert commands_as_offline(record, arm, run_closed_loop(arm, scenario, gains)) > 1750
     table = r'^ *(\w+) +(?:estimate|tracking).*?rad²\S* +\S+ +\S+ +\S+ x *$'
     signals = 'x1 x2 x3 x4 f1 f2 y1 y2 e_t1 e_t2'
     assert set(re.findall(table, text, re.MULTILINE)) == set(signals.split()), text
@@ -78,7 +78,7 @@ def test_given_the_demo_when_run_then_it_is_the_loop_without_nodes_and_all_files
     for row, error in {'x': truth - estimate, 'f': fault, 'e_t': truth - reference}.items():
         for k, value in enumerate(np.mean(error**2, axis=0), 1):
             assert re.search(rf'^ *{row}{k} .* {value:.2g} ', text, re.MULTILINE), row
-    assert {record.counts[f'/lpv/{topic}'] for topic in ALL - {'fault_alarm'}} == {1601}
+    assert {record.counts[f'/lpv/{topic}'] for topic in ALL - {'fault_alarm'}} == {1801}
     raised = [a.sensor for a in record.alarms if a.event == AlarmEvent.RAISED]
     assert raised == ['link1_angle', 'link2_angle']
     report, html = out / 'report', (out / 'report' / 'report.html').read_text()

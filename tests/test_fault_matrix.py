@@ -63,13 +63,12 @@ WAY = 'derived rates: 2 s after a reading froze, momentum and gravity leave 0.1 
 HARDLY = 'derived rates: a joint that hardly moves when its reading freezes is missed for a second'
 BESIDE = 'derived rates: a drift beside another one is found in half of the runs'
 LOST = {
-    'swinging derived drift 0.1': ('ends', BESIDE),
     'real_arm derived drift 0.05': ('ends', BESIDE),
     'real_arm derived drift 0.3': ('ends', SLOW),
     'recorded real_arm derived drift 0.3': ('named', SLOW),
-    'recorded real_arm derived drift 0.1': ('named size', PUSHED),
-    'ur10 derived drift 0.02': ('ends', BESIDE),
-    'real_arm derived stuck': ('size ends', HARDLY),
+    'recorded real_arm derived drift 0.1': ('size', PUSHED),
+    'recorded ur10 derived stuck': ('size', WAY),
+    'real_arm derived stuck': ('ends', HARDLY),
     'chain3 derived stuck': ('size', WAY),
 }
 """Claims that a cell does not keep, and why."""
@@ -167,7 +166,7 @@ def last_kind(cell, k):
 
 
 @pytest.mark.parametrize(('arm', 'least', 'first'), [
-    ('real_arm', 4, (3, 6, 5, 0)), ('chain3', 5, (4, 5, 3, 1, 2)), ('ur10', 6, (1, 7, 0, 6, 3, 4)),
+    ('real_arm', 4, (0, 2, 4, 7)), ('chain3', 4, (4, 5, 1, 2)), ('ur10', 6, (1, 7, 0, 6, 3, 4)),
 ])  # fmt: skip
 def test_given_a_reading_that_never_changed_then_it_is_named(arm, least, first):
     """A sensor frozen from the first sample; a joint that rests reads the same.
@@ -204,7 +203,7 @@ def test_given_a_frozen_reading_when_its_link_turns_back_then_the_other_side_is_
     kind = replace(BY_NAME['stuck'], limit=14.0, duration=14.5)
     (cell,) = cells([arm], [False], ['derived'], [kind])
     outside = []
-    for k in range(4):
+    for k in range(8):
         subject, window, _ = draw(cell, k, 1)
         fault, span = window.faults[0], (window.faults[0].onset + 1.0, window.faults[0].end)
         stream, truth = window.stream.part(0.0, fault.end), window.truth

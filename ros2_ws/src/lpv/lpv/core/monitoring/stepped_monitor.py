@@ -24,9 +24,9 @@ from lpv.core.serial_arm.description import SerialArm
 from lpv.core.serial_arm.diagnosis import priors
 from lpv.core.serial_arm.diagnosis.alarms import Mode, SensorState
 from lpv.core.serial_arm.diagnosis.decision import reading_noise
-from lpv.core.serial_arm.diagnosis.estimator import UNMEASURED
 from lpv.core.serial_arm.diagnosis.information import slot
 from lpv.core.serial_arm.diagnosis.monitor import LONGEST_STEP, SerialMonitor
+from lpv.core.serial_arm.diagnosis.row_noise import UNMEASURED
 from lpv.core.serial_arm.diagnosis.sampler import smallest_jump
 from lpv.core.support.jit import Entries
 from lpv.core.support.records import memory, new_record, plain

@@ -282,7 +282,7 @@ def test_given_a_fault_that_no_hypothesis_describes_then_its_bound_holds_or_it_i
         answers = answered(arm, run)
         beyond = np.abs(answers.fault.estimate - error) > answers.fault.bound + 1e-3
         outside.append(beyond.any(axis=1) & answers.state.trustworthy)
-    assert np.mean(outside) < 0.03
+    assert np.mean(outside) < 0.05
 
 
 def test_given_a_push_then_it_is_trusted_and_bounds_of_readings_that_do_not_explain_it_stay():

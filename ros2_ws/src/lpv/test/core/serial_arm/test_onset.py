@@ -151,7 +151,8 @@ def test_given_a_drift_that_is_tried_then_it_changes_balances_as_blocks_without_
         rows.append(np.empty((LAST, *one.hat.rows.shape)))
         balance.fill_balances(balance.scratch_of(one), some, per, rows[-1])
     changes, columns = trials.changes[0], 1 + n * np.array([balance.VISCOUS, balance.COULOMB])
-    np.testing.assert_allclose(changes[:, :, 0], (rows[1] - rows[0])[:, :, 0], atol=1e-12)
+    changed = trials.mixing @ (rows[1] - rows[0])
+    np.testing.assert_allclose(changes[:, :, 0], changed[:, :, 0], atol=1e-12)
     np.testing.assert_allclose(changes[:, JOINT, 1:], rows[1][:, JOINT, columns + JOINT])
 
 

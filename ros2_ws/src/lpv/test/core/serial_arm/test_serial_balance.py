@@ -9,10 +9,11 @@ from simulated_runs import simulated_run
 from lpv.core.serial_arm.chain import compile_chain
 from lpv.core.serial_arm.description import ParameterCovariance, Uncertainty
 from lpv.core.serial_arm.diagnosis import balance as balances
-from lpv.core.serial_arm.diagnosis import bank, linear_bank, parameter_error
+from lpv.core.serial_arm.diagnosis import bank, linear_bank, parameter_error, row_noise
 from lpv.core.serial_arm.diagnosis import estimator as estimators
 from lpv.core.serial_arm.diagnosis import information as info
 from lpv.core.serial_arm.diagnosis.estimator import HorizonPlan, OffsetEstimator
+from lpv.core.serial_arm.dynamics.model import SerialModel
 
 CHAIN, PER_BLOCK, PER_INTERVAL = compile_chain(shoulder_arm()), 5, 5
 ARM = shoulder_arm('independent')
@@ -204,9 +205,34 @@ def test_given_residuals_that_are_larger_at_rest_then_noise_in_motion_stays_smal
         info.join(window, (null,), 0.05 * k, rows, -1.0)
         window.rest[info.slot(window, 0)] = rest
     estimators.set_residuals(window, null, 200)
-    estimators.learn_noise(window, null)
+    row_noise.learn_noise(estimator.horizon.noise, window, null)
     np.testing.assert_allclose(null.rest, 4.0, rtol=0.3)
     np.testing.assert_allclose(null.noise, null.expected, rtol=0.3)
+
+
+def test_given_noise_of_readings_then_its_size_is_learned_and_rows_do_not_share_it():
+    arm, rng = shoulder_arm('derived'), np.random.default_rng(0)
+    estimator = OffsetEstimator(arm, HorizonPlan.of(arm.sample_time))
+    window, null, noise = estimator.window, estimator.posterior, estimator.horizon.noise
+    share, other = 0.5, noise.stated / 100.0
+    left = []
+    for k in range(2 * estimator.plan.capacity):
+        info.join(window, (null,), 0.05 * k, np.zeros(window.rows.shape[1:]), -1.0)
+        at = info.slot(window, 0)
+        window.poses[at] = rng.uniform(-0.5, 0.5, 3)
+        mass = SerialModel(compile_chain(arm)).mass_matrix(window.poses[at])
+        left.append(mass @ (np.sqrt(share * noise.rates) * rng.normal(size=3)))
+        left[-1] += np.sqrt(other) * rng.normal(size=3)
+        window.rows[at, :, 0] = left[-1]
+        row_noise.decorrelate(noise, window, estimator.balance, null.dry, at)
+        if row_noise.is_due(window):
+            estimators.set_residuals(window, null, len(estimator))
+            row_noise.learn_covariance(noise, window, null)
+    assert noise.share == pytest.approx(share, rel=0.2)
+    np.testing.assert_allclose(noise.other[1:], other[1:], rtol=0.5)
+    rows = window.rows[info.recent(window, estimator.plan.capacity)][:, :, 0]
+    assert np.abs(np.corrcoef(np.array(left).T)[1, 2]) > 0.5
+    assert np.abs(np.corrcoef(rows.T) - np.eye(3)).max() < 0.2
 
 
 @pytest.mark.parametrize(('unit', 'known'), [('N m', 0.0), ('A', 0.04)])

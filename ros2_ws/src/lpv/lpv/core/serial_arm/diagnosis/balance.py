@@ -224,11 +224,14 @@ def _add_fault_columns(
 
 
 @njit_in_place
-def noise_products(balance: Balance, sensor: int, variance: float, products: FloatArray) -> None:
+def noise_products(
+    balance: Balance, sensor: int, variance: float, mixing: FloatArray, products: FloatArray
+) -> None:
     """Write the mean that noise of a sensor's rate gives to unknowns' columns times the residual.
 
     Noise changes the momenta in both.  ``variance`` is that of the change of the mean rate between
-    the two intervals of the last hat [rad2/s2]; ``products`` have shape (n, m).
+    the two intervals of the last hat [rad2/s2]; rows are L r with ``mixing`` L, shape (n, n);
+    ``products`` have shape (n, m).
     """
     chain, n, q = balance.chain, balance.reference.shape[0], balance.poses[0]
     rate, p, force = balance.vectors[1], balance.vectors[2], balance.vectors[3]
@@ -236,20 +239,25 @@ def noise_products(balance: Balance, sensor: int, variance: float, products: Flo
     for j in range(n):
         rate[j] = balance.to_joints[j, sensor]
     momentum_balance(chain, q, rate, balance.work, p, force)
+    map_vector(mixing, p, force)
+    for j in range(n):
+        p[j] = force[j]
     products[:] = 0.0
     for i in range(n):
         step = _STEP * balance.scale[i]
         for j in range(n):
             moved[j] = q[j] - step * balance.to_joints[j, i]
         momentum_balance(chain, moved, rate, balance.work, by, force)
+        map_vector(mixing, by, force)
         for j in range(n):
-            products[j, i] = variance * p[j] * (by[j] - p[j]) / step
+            products[j, i] = variance * p[j] * (force[j] - p[j]) / step
     set_velocities(chain, q, rate, balance.work)
     first = products.shape[1] - balance.directions.shape[0]
     for k in range(balance.directions.shape[0]):
         carried_momentum(chain, balance.directions[k], balance.rigid, rate, balance.work, by, force)
+        map_vector(mixing, by, force)
         for j in range(n):
-            products[j, first + k] = variance * p[j] * by[j]
+            products[j, first + k] = variance * p[j] * force[j]
 
 
 @njit_in_place

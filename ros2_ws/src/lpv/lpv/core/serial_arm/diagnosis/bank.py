@@ -40,7 +40,7 @@ from lpv.core.serial_arm.diagnosis.contact import (
     weigh_residuals,
 )
 from lpv.core.serial_arm.diagnosis.estimator import ONSET, Horizon, OffsetEstimator, set_residuals
-from lpv.core.serial_arm.diagnosis.information import COUNT, NEXT, Posterior, recent, slot
+from lpv.core.serial_arm.diagnosis.information import COUNT, NEXT, Posterior, recent
 from lpv.core.serial_arm.diagnosis.kinematic_rows import (
     KinematicRows,
     Kinematics,
@@ -69,11 +69,10 @@ from lpv.core.serial_arm.diagnosis.stuck import (
     Course,
     Frozen,
     at_rest,
+    blocks_along,
     course_of_frozen,
     free_course,
 )
-from lpv.core.serial_arm.dynamics.momentum import mass_matrix
-from lpv.core.serial_arm.sensor_map import map_vector
 from lpv.core.support.jit import njit_in_place
 from lpv.core.support.records import memory, new_record, plain, record_type
 
@@ -189,7 +188,7 @@ class Bank:
     """Bank of one arm; the estimator's posterior is the null hypothesis."""
 
     def __init__(self, arm: SerialArm, estimator: OffsetEstimator) -> None:
-        self.estimator, plan, n = estimator, estimator.plan, estimator.joints
+        self.estimator, plan = estimator, estimator.plan
         self._push = push = priors.PUSH * estimator.typical
         starts = np.array([*STARTS, *DRIFT_STARTS])
         lengths = sorted({max(1, round(one)) for one in (starts / plan.interval).tolist()})
@@ -206,8 +205,7 @@ class Bank:
         state = new_record(BANK_STATE, statistic=-np.inf)
         self._state = plain(state)
         self.parts = BankParts(
-            self._evidence, self.kinematics.parts, np.zeros((n, n)),
-            arm.sensors_to_joints().T.copy(), memory(state), self._log_weight, self._recent,
+            self._evidence, self.kinematics.parts, memory(state), self._log_weight, self._recent,
         )  # fmt: skip
 
     def _hypotheses(self) -> Kinds:
@@ -433,12 +431,15 @@ class Bank:
         ``blocks`` is as in `compare`.
         """
         found, interval = [], self.estimator.plan.interval
-        held = blocks(len(self.estimator) + 1)
+        held, going = blocks(len(self.estimator) + 1), dict[float, FloatArray]()
         for i, one in frozen.items():
             since = held[-1, 3 * self.estimator.joints] - one.time
+            # What froze in the same sample goes on, too: gains add up to that of all.
+            along, others = going.get(one.time, held), one.time in going
+            going[one.time] = blocks_along(self.estimator, i, along, one.time, one)
             lengths = [round(time / interval) for time in STUCK_FOR if time < since]
             for count in (0, *lengths):
-                course = course_of_frozen(self.estimator, i, one, count, held)
+                course = course_of_frozen(self.estimator, i, one, count, along, others)
                 if course is None:
                     continue
                 rows = count or int(np.ceil(since / interval))
@@ -544,7 +545,7 @@ class Bank:
         """Torques by usual friction of each joint while it rests; levers as of `joint_levers`."""
         one, null = self.estimator, self.estimator.posterior
         levers = joint_levers(null.dry / one.plan.interval, last)
-        return levers * one.window.rest[recent(one.window, last)][:, :, None]
+        return self._in_rows(levers * one.window.rest[recent(one.window, last)][:, :, None])
 
     def friction_gain(self) -> float:
         """What friction that changes as joints come to rest explains, at best; as of a load."""
@@ -557,7 +558,14 @@ class Bank:
         """Of torques on single joints, and of a force on the tip."""
         one = self.estimator
         tips = one.call(tip_jacobians, one.balance.chain, one.window, last)
-        return joint_levers(self._push, last), force_levers(tips, self._push)
+        alone, at_tip = joint_levers(self._push, last), force_levers(tips, self._push)
+        return self._in_rows(alone), self._in_rows(at_tip)
+
+    def _in_rows(self, levers: FloatArray) -> FloatArray:
+        """Levers, shape (last, G, n), as the rows of the last balances show them."""
+        window = self.estimator.window
+        mixing = window.mixing[recent(window, len(levers))]
+        return np.asarray(levers @ mixing.swapaxes(1, 2))
 
     def warm_up(self, blocks: FloatArray) -> None:
         """Compile what is called for suspected faults only; ``blocks`` are those of the horizon."""
@@ -621,29 +629,23 @@ class BankParts(NamedTuple):
 
     evidence: Evidence
     kinematics: Kinematics
-    matrix: FloatArray  # (n, n) scratch
-    mixing: FloatArray  # (n, n) S^-T
     state: np.ndarray  # memory of a record of `BANK_STATE`
     log_weight: float  # of a hypothesis
     recent: int  # balances in which causes of all kinds may have begun
 
 
 @njit_in_place
-def take_rows(bank: BankParts, horizon: Horizon, blocks: FloatArray, sampler: Sampler) -> None:
+def take_rows(bank: BankParts, blocks: FloatArray, sampler: Sampler) -> None:
     """Take the balance that has joined the horizon; ``blocks`` are those of its two intervals."""
-    balance, window = horizon.balance, horizon.window
-    at, n, independent = slot(window, 0), bank.matrix.shape[0], False
+    independent = False
     bank.state[0].age += 1
     bank.state[0].unchanged += 1
-    for i in range(n):
+    for i in range(bank.kinematics.independent.shape[0]):
         independent = independent or bank.kinematics.independent[i]
         rounded = rounding_step(sampler, i) ** 2 / 6.0  # both ends of a row
         bank.kinematics.ends[i] = max(bank.kinematics.stated[i], rounded)
     if independent:
         take_row(bank.kinematics, blocks, bank.evidence.interval)
-    mass_matrix(balance.chain, window.poses[at], balance.work, bank.matrix)
-    for i in range(n):
-        map_vector(bank.mixing, bank.matrix[i], window.momenta[at, i])
 
 
 @njit_in_place

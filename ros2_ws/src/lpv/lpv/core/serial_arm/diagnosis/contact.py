@@ -16,7 +16,6 @@ import numpy as np
 
 from lpv.core.serial_arm.chain import Chain, FloatArray
 from lpv.core.serial_arm.diagnosis import priors
-from lpv.core.serial_arm.diagnosis.estimator import usual_size
 from lpv.core.serial_arm.diagnosis.information import (
     ROBUST,
     Posterior,
@@ -28,6 +27,7 @@ from lpv.core.serial_arm.diagnosis.information import (
 )
 from lpv.core.serial_arm.diagnosis.onset import whitened
 from lpv.core.serial_arm.diagnosis.parameter_error import NEGLIGIBLE
+from lpv.core.serial_arm.diagnosis.row_noise import usual_size
 from lpv.core.serial_arm.dynamics.kinematics import fill_jacobian, joint_frames
 from lpv.core.support.jit import njit, njit_in_place
 

@@ -16,14 +16,13 @@ from lpv.core.serial_arm.diagnosis.estimator import (
     HORIZON,
     INTERVAL,
     NOISE_SAMPLES,
-    UNMEASURED,
     Horizon,
     estimate_all,
     has_moved,
     take_balances,
     weigh_all,
 )
-from lpv.core.serial_arm.diagnosis.healthy_set import HealthyRing, take_healthy
+from lpv.core.serial_arm.diagnosis.healthy_set import HealthyRing, take_healthy, take_noise
 from lpv.core.serial_arm.diagnosis.information import NEXT, slot
 from lpv.core.serial_arm.diagnosis.published_rates import readings_at_edges
 from lpv.core.serial_arm.diagnosis.sampler import Sampler, readings_in_jump
@@ -106,6 +105,8 @@ class Parts(NamedTuple):
     beyond: FloatArray
     recent: FloatArray  # (2 B, 3 n + 4) the B blocks of each of the last two intervals
     lost: FloatArray  # (2 B, n) what samples lost in these may hide, as of `Sampler.lost`
+    measured: FloatArray  # (n,) 1 where the efforts of the last balance are known
+    noise: FloatArray  # (3, n) of `_note_noise` [rad2/s2]
 
 
 @njit_in_place
@@ -115,50 +116,51 @@ def reading_noise(sampler: Sampler, i: int) -> float:
 
 
 @njit_in_place
-def _leave_out_missing(parts: Parts) -> None:
-    """Of joints whose efforts are missing the last balance says nothing."""
-    window, measured, some = parts.horizon.window, parts.sampler.measured, False
-    for i in range(measured.shape[0]):
-        if measured[i] < parts.state[0].held:
-            window.extra[slot(window, 0), i], some = UNMEASURED, True
-    if some:
-        weigh_all(parts.horizon, 1)
+def _note_noise(parts: Parts) -> None:
+    """Write variances of the rates of the last balance: readings noisy, rounded, or off stamps."""
+    sampler, (rounded, noisy, late) = parts.sampler, parts.noise
+    for j in range(noisy.shape[0]):
+        edges = READINGS_AT_EDGES * sampler.derived[j] / parts.bank.evidence.interval**2
+        rounded[j] = 0.0
+        if np.isfinite(sampler.grain[j]):
+            rounded[j] = edges * sampler.grain[j] * sampler.grain[j] / 12.0
+        fastest, wrong = 0.0, 0.0
+        for block in parts.recent:
+            rate = abs(block[noisy.shape[0] + j])
+            fastest, wrong = max(fastest, rate), max(wrong, abs(block[-1]) * rate)
+        # Readings may be louder in motion than at rest.
+        louder = sampler.scale[j] * sampler.scale[j] - sampler.calm[j]
+        noisy[j] = max(louder, 0.0) / readings_in_jump(sampler, j)
+        noisy[j] += sampler.state[0].jitter * fastest * fastest
+        if sampler.noisy[j] == 1:
+            noisy[j] += reading_noise(sampler, j)
+        noisy[j], late[j] = edges * noisy[j], edges * wrong * wrong
+        parts.horizon.noise.more[j] = noisy[j] + late[j]
 
 
 @njit_in_place
 def _add_noise(parts: Parts) -> None:
-    """Balances of readings that are noisy, rounded, or off their stamps say less than others.
-
-    The variance of the last balance is raised.
-    """
-    sampler, window, noise = parts.sampler, parts.horizon.window, parts.horizon.null.noise
+    """Let the last balance say less than others by the noise that was noted."""
+    sampler, window, null = parts.sampler, parts.horizon.window, parts.horizon.null
     interval = parts.bank.evidence.interval
     samples = round(interval / parts.state[0].sample_time)
-    n, at, less = noise.shape[0], slot(window, 0), False
+    n, at, less = null.noise.shape[0], slot(window, 0), False
     for i in range(n):
         rounded, noisy, late = 0.0, 0.0, 0.0
         for j in range(n):
-            edges = window.momenta[at, i, j] / interval
-            rates = READINGS_AT_EDGES * sampler.derived[j] * edges**2
-            if np.isfinite(sampler.grain[j]):
-                rounded += rates * sampler.grain[j] * sampler.grain[j] / 12.0
-            # Readings may be louder in motion than at rest.
-            louder = sampler.scale[j] * sampler.scale[j] - sampler.calm[j]
-            noisy += rates * max(louder, 0.0) / readings_in_jump(sampler, j)
-            fastest, wrong = 0.0, 0.0
-            for block in parts.recent:
-                fastest = max(fastest, abs(block[n + j]))
-                wrong = max(wrong, abs(block[3 * n + 3] * block[n + j]))
-            noisy += rates * sampler.state[0].jitter * fastest * fastest
-            late += rates * wrong * wrong
+            power = window.momenta[at, i, j] ** 2
+            rounded += power * parts.noise[0, j]
+            noisy += power * parts.noise[1, j]
+            late += power * parts.noise[2, j]
             if sampler.noisy[j] == 1:
                 mean = window.rows[at, i, 1 + OFFSET * n + j] ** 2 / samples
                 # Torques grow with the squares of rates, of which noise changes the mean.
                 turned = window.rows[at, i, 1 + RATE * n + j] / interval
                 way = sampler.derived[j] * READINGS_IN_WAY * turned**2
-                noisy += reading_noise(sampler, j) * (mean + rates + way)
+                noisy += reading_noise(sampler, j) * (mean + way)
         # As learned, most of what is left may be rounding.
-        extra = max(rounded - noise[i] * noise[i], 0.0) + noisy
+        usual = null.noise[i] * window.relative[at, i]
+        extra = max(rounded - usual * usual, 0.0) + noisy
         window.extra[at, i] += extra
         window.late[at, i] = late
         less = less or extra + late > 0.0
@@ -203,12 +205,15 @@ def decide(parts: Parts) -> None:
     if state.stage == _TAKE:
         _copy_recent(parts.sampler, parts.recent, parts.lost)
         if state.guarantees:
-            edges = readings_at_edges(parts.sampler)
             blocks = parts.recent, parts.lost
-            take_healthy(parts.healthy, horizon, blocks, edges, state.learns)
-        take_balances(horizon, state.now, state.learns)
-        _leave_out_missing(parts)
-        take_rows(bank, horizon, parts.recent, parts.sampler)
+            take_healthy(parts.healthy, horizon, blocks, state.learns)
+        _note_noise(parts)
+        for i in range(parts.measured.shape[0]):
+            parts.measured[i] = parts.sampler.measured[i] >= state.held
+        take_balances(horizon, state.now, parts.measured, state.learns)
+        if state.guarantees:
+            take_noise(parts.healthy, horizon, readings_at_edges(parts.sampler))
+        take_rows(bank, parts.recent, parts.sampler)
         state.balances += 1
         state.stage = _FOLLOW if state.follows else _ESTIMATE
     if state.stage == _ESTIMATE:

@@ -37,8 +37,10 @@ class Trials(NamedTuple):
     blocks: FloatArray  # (N, 3 n + 4) as of `Sampler.blocks`
     freed: FloatArray  # (N, 3 n + 4) the same without a drift
     forces: FloatArray  # (N, 2, n) momentum, and force that changes it, of each [N m s], [N m]
-    changes: FloatArray  # (2, B - 1, n, 3) of residuals, and columns of friction, for two sizes
+    # (2, B - 1, n, 3) changes of residuals, and columns of each joint's friction, for two sizes
+    changes: FloatArray
     rows: FloatArray  # (B - 1, n, m) columns of the unknowns
+    mixing: FloatArray  # (B - 1, n, n) as of `Window`
     weights: FloatArray  # (B - 1, n) inverse variances of the balances
     residual: FloatArray  # (B - 1, n) under the null hypothesis [N m s]
     information: FloatArray  # (m, m) of that
@@ -55,9 +57,9 @@ def new_trials(
     at = recent(window, count)[::-1]
     return Trials(
         blocks, np.empty(blocks.shape), np.empty((len(blocks), 2, joints)),
-        np.empty((2, count, joints, 3)), window.rows[at][:, :, -m:].copy(), null.weights[at],
-        null.residual[:count][::-1].copy(), upper.T @ upper, null.least, np.empty((m, m)),
-        np.empty((3, m)))  # fmt: skip
+        np.empty((2, count, joints, 3)), window.rows[at][:, :, -m:].copy(), window.mixing[at],
+        null.weights[at], null.residual[:count][::-1].copy(), upper.T @ upper, null.least,
+        np.empty((m, m)), np.empty((3, m)))  # fmt: skip
 
 
 def balance_of_trials(balance: Balance, friction: FloatArray) -> Balance:
@@ -138,9 +140,13 @@ def _set_changes(
         length += weight[0]
         if (k + 1) % per_interval == 0:
             if close_hat(own.hat, length):
-                change = trials.changes[which, (k + 1) // per_interval - 2]
+                at = (k + 1) // per_interval - 2
+                change, mixing = trials.changes[which, at], trials.mixing[at]
                 for i in range(n):
-                    for c in range(3):
+                    change[i, 0] = 0.0
+                    for j in range(i + 1):
+                        change[i, 0] += mixing[i, j] * own.hat.rows[j, 0]
+                    for c in range(1, 3):
                         change[i, c] = own.hat.rows[i, c]
             length = 0.0
 
@@ -175,18 +181,18 @@ def _compare(
                 score[a] -= weight * change[0] * row[a]
                 by_size[a] += weight * turn * row[a]
                 moved[a] = row[a]
-            if share[i] == 0.0:
-                continue
             # Of the unknowns' columns, a drift changes those of the friction of joints that move.
-            for g in range(2):
-                c = (VISCOUS - OFFSET + g) * n + i
-                moved[c] = change[1 + g]
-                score[c] -= weight * left * (moved[c] - row[c])
-                by_size[c] += weight * turn * (moved[c] - row[c])
-            for g in range(2):
-                c = (VISCOUS - OFFSET + g) * n + i
-                for a in range(m):
-                    matrix[c, a] += weight * (moved[c] * moved[a] - row[c] * row[a])
+            for j in range(i + 1):
+                part = trials.mixing[k, i, j] if share[j] != 0.0 else 0.0
+                for g in range(2):
+                    c = (VISCOUS - OFFSET + g) * n + j
+                    moved[c] += part * (trials.changes[0, k, j, 1 + g] - trials.rows[k, j, c])
+                    score[c] -= weight * left * (moved[c] - row[c])
+                    by_size[c] += weight * turn * (moved[c] - row[c])
+            for c in range((VISCOUS - OFFSET) * n, (VISCOUS - OFFSET + 2) * n):
+                if share[c % n] != 0.0:
+                    for a in range(m):
+                        matrix[c, a] += weight * (moved[c] * moved[a] - row[c] * row[a])
     for c in range((VISCOUS - OFFSET) * n, (VISCOUS - OFFSET + 2) * n):
         if share[c % n] != 0.0:
             for a in range(c):

@@ -43,22 +43,35 @@ from lpv.core.serial_arm.diagnosis.information import (
     move_drifts,
     new_window,
     recent,
-    select,
     slot,
     solve_factorised,
     whiten,
 )
 from lpv.core.serial_arm.diagnosis.parameter_error import (
     LOAD_ROWS,
+    balance_noise,
+    change_noise,
     model_error,
-    momentum_noise,
     parameter_directions,
     parameter_factor,
     typical_torque,
     usual_load,
 )
+from lpv.core.serial_arm.diagnosis.row_noise import (
+    FEW,
+    LAGS,
+    NOISE_SAMPLES,
+    UNMEASURED,
+    RowNoise,
+    decorrelate,
+    is_due,
+    learn_covariance,
+    learn_noise,
+    new_row_noise,
+    usual_size,
+)
 from lpv.core.support.jit import Entries, njit_in_place
-from lpv.core.support.limits import LARGEST, SMALL
+from lpv.core.support.limits import SMALL
 
 INTERVAL = 0.05
 """Between decisions, about [s]."""
@@ -66,23 +79,10 @@ STRAIGHT = 0.3
 """Change of an angle in which balances are linear: sin(0.3) = 0.3 less 1.5 % [rad]."""
 HORIZON = 10.0
 """Over which an arm's unknowns are estimated [s]."""
-NOISE_SAMPLES = 20
-"""Balances after which what is seen of the noise counts as much as what is expected."""
 NOISE_KNOWN_AFTER = 3.0
 """Before, noise is learned in any case; what acts from outside is not told from it [s]."""
-_FEW = 10
-"""Balances from which the size of noise is learned; after as many it is learned anew."""
-_LAGS = 8
-"""Balances over which what the model does not explain is correlated."""
-_LARGEST_INFLATION = 2.0 * _LAGS - 1.0
-"""1 + 2 sum of autocorrelations of one each: what never changes over these lags."""
-_LARGEST_FACTOR = 10.0
-"""What is learned of the noise is that of the file within this factor: beyond, file or units are
-wrong, which `misfit` reports."""
 PAST_WEIGHT = 0.998
 """Factor of what was learned, each balance."""
-UNMEASURED = LARGEST**2
-"""Variance of a balance of an effort that was missing: it may have been any [N2 m2 s2]."""
 ONSET = 2
 """Balances at the start of a window in which a cause may come in any way: they are explained by
 free torques, for encoders as for contacts.  A jump is in the two balances that hold it."""
@@ -122,6 +122,7 @@ class Horizon(NamedTuple):
     null: Posterior
     level: Posterior  # the same for levels; its sums have no columns of faults
     since: IntArray  # (1,) balances since all were linearised
+    noise: RowNoise
 
 
 @njit_in_place
@@ -146,26 +147,14 @@ def set_residuals(window: Window, null: Posterior, last: int) -> None:
 
 
 @njit_in_place
-def usual_size(window: Window, null: Posterior, back: int, i: int) -> float:
-    """Usual size of what is left of a balance of joint i [N m s].
-
-    In a long rest friction may be anything up to that of the file, whatever was seen in others.
-    """
-    at = slot(window, back)
-    size = null.noise[i] * (1.0 + (null.rest[i] - 1.0) * window.rest[at, i])
-    if null.lasting[at, i] > 0.0:
-        size = max(size, np.hypot(null.noise[i], null.dry[i]))
-    return size
-
-
-@njit_in_place
 def weigh(window: Window, null: Posterior, last: int) -> None:
     """Sum up the last balances again, outliers with less weight (soft L1)."""
     set_residuals(window, null, last)
     for back in range(last - 1, -1, -1):
         at = slot(window, back)
         for i in range(null.noise.shape[0]):
-            size, moving = usual_size(window, null, back, i), null.noise[i]
+            size = usual_size(window, null, back, i)
+            moving = null.noise[i] * window.relative[at, i]
             ratio = null.residual[back, i] / (ROBUST * size)
             lasting = max(null.inflation[i], null.lasting[at, i])
             variance = moving * moving * null.inflation[i]
@@ -228,11 +217,12 @@ def solve(window: Window, null: Posterior) -> None:
 
 
 @njit_in_place
-def take_balances(horizon: Horizon, time: float, learn: bool) -> None:
+def take_balances(horizon: Horizon, time: float, measured: FloatArray, learn: bool) -> None:
     """Let the balance that is complete join the horizon, without estimating.
 
     The constant part of its rows belongs to f = 0 afterwards.  The residual and the weight of the
-    last balance are written.  What leaves the horizon is remembered if ``learn``.
+    last balance are written.  ``measured``, shape (n,), says whose efforts are known.  What leaves
+    the horizon is remembered if ``learn``.
     """
     balance, window, null, level = horizon.balance, horizon.window, horizon.null, horizon.level
     n, past = balance.reference.shape[0], PAST_WEIGHT if learn else -PAST_WEIGHT
@@ -247,6 +237,8 @@ def take_balances(horizon: Horizon, time: float, learn: bool) -> None:
         window.poses[at, i] = balance.poses[0, i]
         window.rest[at, i] = rests(balance, i)
         window.rested[i] = window.rested[i] + 1 if window.rest[at, i] == 1.0 else 0
+        window.extra[at, i] = 0.0 if measured[i] == 1.0 else UNMEASURED
+    decorrelate(horizon.noise, window, balance, null.dry, at)
     weigh(window, null, _lengthen_rests(window, null, 1))
     weigh(window, level, _lengthen_rests(window, level, window.times.shape[0]))
 
@@ -262,9 +254,9 @@ def _lengthen_rests(window: Window, null: Posterior, longest: int) -> int:
     rested = window.rested
     last, at = 1, slot(window, 0)
     for i in range(rested.shape[0]):
-        if rested[i] <= _LAGS:
+        if rested[i] <= LAGS:
             continue
-        lasting = _LAGS
+        lasting = LAGS
         while lasting < rested[i]:
             lasting *= 2
         null.lasting[at, i] = min(lasting, longest)
@@ -295,7 +287,7 @@ def estimate_all(horizon: Horizon, interval: float, learn: bool) -> None:
     """Estimate anew, after `take_balances`; balances are an ``interval`` apart [s]."""
     horizon.since[0] += 1
     taken = horizon.window.counters[NEXT]
-    if (learn or not taken * interval > NOISE_KNOWN_AFTER) and taken % _FEW == 0:
+    if (learn or not taken * interval > NOISE_KNOWN_AFTER) and taken % FEW == 0:
         _learn_all(horizon, priors.POSE_TIME / interval)
     solve_all(horizon)
 
@@ -308,28 +300,44 @@ def _learn_all(horizon: Horizon, lasting: float) -> None:
     would raise the noise that it is compared with.  ``lasting`` is as of `_copy_noise`.
     """
     window, null, count = horizon.window, horizon.null, horizon.window.counters[COUNT]
+    anew = is_due(window)
+    if anew:
+        set_residuals(window, null, count)
+        _explain(window, null)
+        learn_covariance(horizon.noise, window, null)
     set_residuals(window, null, count)
-    learn_noise(window, null)
-    _copy_noise(null, horizon.level, lasting)
+    learn_noise(horizon.noise, window, null)
+    _copy_noise(window, null, horizon.level, lasting)
+    if _explain(window, null):
+        learn_noise(horizon.noise, window, null)
+    if anew:
+        weigh_all(horizon, count)
+
+
+@njit_in_place
+def _explain(window: Window, null: Posterior) -> bool:
+    """Take what the likeliest fault explains out of the residuals; whether there is any."""
     some = False
-    for back in range(count):
+    for back in range(window.counters[COUNT]):
         for i in range(null.noise.shape[0]):
             explained = window.explained[slot(window, back), i]
             null.residual[back, i] += explained
             some = some or explained != 0.0
-    if some:
-        learn_noise(window, null)
+    return some
 
 
 @njit_in_place
-def _copy_noise(source: Posterior, level: Posterior, lasting: float) -> None:
+def _copy_noise(window: Window, source: Posterior, level: Posterior, lasting: float) -> None:
     """Take over what was learned of the noise, all of which lasts as long as a pose.
 
     ``lasting`` is that time in balances.  What an identified arm is known to miss remains.
     """
     for i in range(source.noise.shape[0]):
         level.noise[i], level.rest[i] = source.noise[i], source.rest[i]
-        least = max(level.systematic[i] / (level.noise[i] * level.noise[i]), lasting)
+        missed, mixing = 0.0, window.mixing[slot(window, 0), i]
+        for j in range(i + 1):
+            missed += mixing[j] * mixing[j] * level.systematic[j]
+        least = max(missed / (level.noise[i] * level.noise[i]), lasting)
         level.inflation[i] = max(source.inflation[i], least)
 
 
@@ -343,79 +351,6 @@ def make_absolute(rows: FloatArray, reference: FloatArray) -> None:
 
 
 @njit_in_place
-def learn_noise(window: Window, null: Posterior) -> None:
-    """Size and correlation of what is not explained, from the residuals of the horizon."""
-    count, n, values = window.counters[COUNT], null.noise.shape[0], null.sizes
-    for i in range(n):
-        expected = null.expected[i]
-        moving = values[: _sizes(window, null, i, 0.0, values)]
-        noise = _learned_size(moving, expected)
-        null.noise[i] = min(max(noise, expected / _LARGEST_FACTOR), _LARGEST_FACTOR * expected)
-        resting = values[: _sizes(window, null, i, 1.0, values)]
-        rest = _learned_size(resting, null.expected_rest[i] * null.noise[i])
-        null.rest[i] = min(max(rest / null.noise[i], 1.0), _LARGEST_FACTOR)
-        k = 0
-        for back in range(count):
-            if _is_trusted(window, slot(window, back), i):
-                ratio = null.residual[back, i] / usual_size(window, null, back, i)
-                values[k] = min(max(ratio, -ROBUST), ROBUST)
-                k += 1
-        if k >= _FEW:
-            learned = min(1.0 + 2.0 * _correlation(values[:k]), _LARGEST_INFLATION)
-            null.inflation[i] = (1.0 - _share(k)) * 2.0 + _share(k) * learned
-
-
-@njit_in_place
-def _is_trusted(window: Window, at: int, i: int) -> bool:
-    """Whether nothing from outside acted on a balance of a joint whose effort was measured."""
-    return bool(window.trust[at] == 1.0 and window.extra[at, i] < UNMEASURED)
-
-
-@njit_in_place
-def _sizes(window: Window, null: Posterior, i: int, rest: float, values: FloatArray) -> int:
-    """Write sizes of residuals of a joint where it moves, or rests; their number."""
-    count = 0
-    for back in range(window.counters[COUNT]):
-        at = slot(window, back)
-        if _is_trusted(window, at, i) and window.rest[at, i] == rest:
-            values[count] = abs(null.residual[back, i])
-            count += 1
-    return count
-
-
-@njit_in_place
-def _share(count: int) -> float:
-    """Weight of what was seen in so many balances, beside what is expected."""
-    return count * count / (NOISE_SAMPLES * NOISE_SAMPLES + count * count)
-
-
-@njit_in_place
-def _learned_size(sizes: FloatArray, expected: float) -> float:
-    """Usual size of residuals, from their absolute values, whose order is changed."""
-    count = len(sizes)
-    if count < _FEW:
-        return expected
-    middle = 0.5 * (select(sizes, (count - 1) // 2) + select(sizes, count // 2))
-    size, share = 1.4826 * middle, _share(count)  # of normal ones: 1 / Phi^-1(3/4)
-    return float(np.sqrt((1.0 - share) * expected * expected + share * size * size))
-
-
-@njit_in_place
-def _correlation(values: FloatArray) -> float:
-    """Sum of the positive autocorrelations."""
-    count, power, total = len(values), 0.0, 0.0
-    for k in range(count):
-        power += values[k] * values[k]
-    power = max(power / count, np.finfo(np.float64).tiny)
-    for lag in range(1, min(_LAGS, count // 2)):
-        product = 0.0
-        for k in range(lag, count):
-            product += values[k] * values[k - lag]
-        total += max(product / (count - lag) / power, 0.0)
-    return total
-
-
-@njit_in_place
 def has_moved(horizon: Horizon) -> bool:
     """Whether an offset has surely left the point of linearisation."""
     balance, level, largest = horizon.balance, horizon.level, 0.0
@@ -424,7 +359,7 @@ def has_moved(horizon: Horizon) -> bool:
         if step > ROBUST * level.sigma[i]:
             largest = max(largest, step / balance.scale[i])
     # All balances are evaluated anew: not before a tenth of them are new ones.
-    renewed = horizon.since[0] * _FEW >= horizon.window.counters[COUNT]
+    renewed = horizon.since[0] * FEW >= horizon.window.counters[COUNT]
     return renewed and largest > SMALL
 
 
@@ -452,8 +387,9 @@ class OffsetEstimator:
             _prior_posterior(about, none, faults, plan.capacity),
             _prior_posterior(about, about.systematic, 0, plan.capacity),
             np.zeros(1, np.int64),
+            new_row_noise(about.rates, about.other, about.noise, plan.capacity),
         )
-        self.balance, self.window, self.posterior, self.level, self._since = self.horizon
+        self.balance, self.window, self.posterior, self.level, self._since = self.horizon[:5]
         self.call = Entries()
 
     def __len__(self) -> int:
@@ -506,7 +442,8 @@ class OffsetEstimator:
         Unlike `usual_size`, no more in long rests.
         """
         null = self.posterior
-        return np.asarray(null.noise * (1.0 + (null.rest - 1.0) * self.window.rest[at]))
+        size = null.noise * self.window.relative[at]
+        return np.asarray(size * (1.0 + (null.rest - 1.0) * self.window.rest[at]))
 
     def contradiction(self, last: int) -> float:
         """Root mean square of what is left of the last balances, over its size; the largest.
@@ -581,7 +518,7 @@ class OffsetEstimator:
         blocks = np.ascontiguousarray(blocks)
         self.call(fill_balances, balance, blocks, self.plan.blocks, rows)
         self.call(make_absolute, rows.reshape(-1, rows.shape[2]), balance.reference)
-        rows = rows[len(rows) - len(at) :]
+        rows = self.window.mixing[at] @ rows[len(rows) - len(at) :]
         self._take_out_load(rows, self.window.carried[at])
         return rows
 
@@ -664,6 +601,8 @@ class _About(NamedTuple):
     rest: FloatArray
     dry: FloatArray
     systematic: FloatArray
+    rates: FloatArray  # V, of `RowNoise`
+    other: FloatArray  # D, as expected
 
 
 @lru_cache(maxsize=4)
@@ -680,12 +619,15 @@ def _about(arm: SerialArm, plan: HorizonPlan) -> _About:
     loads = rows[-LOAD_ROWS:] if usual_load(arm) > 0.0 else rows[:0]
     loads = np.hstack([np.zeros((len(loads), 4 * len(arm.joints))), loads])
     prior = np.concatenate([*_priors(arm, chain.friction, missed), np.ones(len(directions))])
-    noise = _expected_noise(arm, chain, missed, plan)
+    rates = change_noise(arm, plan.interval)
+    other, noise = balance_noise(arm, chain, directions, rates, _missed_power(arm, missed, plan))
     # Friction at rest is anything between both signs of Coulomb's: uniformly distributed.
     dry = plan.interval * chain.friction[:, DRY] / np.sqrt(3.0)
     rest = np.hypot(1.0, dry / noise)
     systematic = _systematic_error(arm, priors.LASTING * missed, plan)
-    return _About(chain, typical, directions, drives, loads, prior, noise, rest, dry, systematic)
+    return _About(
+        chain, typical, directions, drives, loads, prior, noise, rest, dry, systematic, rates, other
+    )
 
 
 def _with_delay(
@@ -726,13 +668,10 @@ def _priors(arm: SerialArm, friction: FloatArray, missed: FloatArray) -> list[Fl
     ]
 
 
-def _expected_noise(
-    arm: SerialArm, chain: Chain, missed: FloatArray, plan: HorizonPlan
-) -> FloatArray:
-    """Standard deviation of a balance that is expected before any was seen [N m s]."""
+def _missed_power(arm: SerialArm, missed: FloatArray, plan: HorizonPlan) -> FloatArray:
+    """Variances of a balance by torques that the model misses, shape (n,) [N2 m2 s2]."""
     tolerance = np.array([max(joint.torque_tolerance.torque) for joint in arm.joints])
-    unknown = plan.interval * np.maximum(tolerance / SIGMAS, missed)
-    return np.hypot(unknown, momentum_noise(arm, chain, plan.interval))
+    return np.asarray((plan.interval * np.maximum(tolerance / SIGMAS, missed)) ** 2)
 
 
 def _systematic_error(arm: SerialArm, missed: FloatArray, plan: HorizonPlan) -> FloatArray:

@@ -99,13 +99,12 @@ class HealthyRing(NamedTuple):
 
 @njit_in_place
 def take_healthy(
-    ring: HealthyRing, horizon: Horizon, blocks: tuple[FloatArray, ...], edges: float, learn: bool
+    ring: HealthyRing, horizon: Horizon, blocks: tuple[FloatArray, ...], learn: bool
 ) -> None:
     """Take the balance that the horizon is about to take.
 
     ``blocks``, shape (2 B, 3 n + 4), are those of its two intervals of B blocks, with what lost
-    samples hide of them, shape (2 B, n); ``edges`` as of `readings_at_edges`.  What leaves the
-    horizon is remembered if ``learn``.
+    samples hide of them, shape (2 B, n).  What leaves the horizon is remembered if ``learn``.
     """
     balance, window, capacity = horizon.balance, horizon.window, ring.effects.shape[0]
     last = blocks[0].shape[0] // 2
@@ -113,16 +112,25 @@ def take_healthy(
         _add(ring, balance.hat.rows, blocks[0][:last], blocks[1][:last], 0)
     if window.counters[COUNT] == capacity:
         remember(ring, horizon, slot(window, capacity - 1), learn, PAST_WEIGHT)
-    at, n = window.counters[NEXT] % capacity, ring.mean_noise.shape[0]
+    at = window.counters[NEXT] % capacity
     _add(ring, balance.hat.rows, blocks[0][last:], blocks[1][last:], at)
+
+
+@njit_in_place
+def take_noise(ring: HealthyRing, horizon: Horizon, edges: float) -> None:
+    """Write what noise does in the balance that the horizon has taken."""
+    balance, window, n = horizon.balance, horizon.window, ring.mean_noise.shape[0]
+    at = slot(window, 0)
     # Poses change little within n balances: one sensor in each stands for all.
-    sensor = window.counters[NEXT] % n
+    sensor = (window.counters[NEXT] - 1) % n
     means = edges if balance.derived[sensor] > 0.0 else 2.0
     variance = n * means * ring.mean_noise[sensor] ** 2
-    noise_products(balance, sensor, variance, ring.products[at])
+    noise_products(balance, sensor, variance, window.mixing[at], ring.products[at])
+    heavier = 1.0
     for i in range(n):
+        heavier = max(heavier, ring.balance.heavier[i])
         for a in range(ring.products.shape[2]):
-            ring.products[at, i, a] *= ring.balance.heavier[i]
+            ring.products[at, i, a] *= heavier
         for j in range(n):
             ring.momenta[at, i, j] = 0.0
             for k in range(n):
@@ -154,20 +162,28 @@ def remember(ring: HealthyRing, horizon: Horizon, at: int, learn: bool, factor: 
             ring.right[a, c] *= factor
     if not learn:
         return
+    mixing, doubts = horizon.window.mixing[at], ring.doubts[at]
     for i in range(n):
-        weight, slack = weights[i], ring.doubts[at, 0, i] + ring.doubts[at, 2, i]
+        weight, slack, total = weights[i], 0.0, 0.0
+        for k in range(i + 1):
+            part = mixing[i, k]
+            slack += abs(part) * (doubts[0, k] + doubts[2, k])
+            total += weight * part * part * doubts[1, k]
         ring.past[SLACK] += weight * slack * slack
         for a in range(m):
             share = weight * rows[i, first + a]
-            for c in range(columns - 1):
-                ring.right[a, c] += share * ring.effects[at, i, c]
+            for k in range(i + 1):
+                for c in range(columns - 1):
+                    ring.right[a, c] += share * mixing[i, k] * ring.effects[at, k, c]
             ring.right[a, columns - 1] += weight * ring.products[at, i, a]
-        total = weight * ring.doubts[at, 1, i]
         for j in range(n):
             noise = 0.0
             for k in range(n):
-                both = ring.momenta[at, i, k] * ring.momenta[at, j, k]
-                noise += both * ring.mean_noise[k] * ring.mean_noise[k]
+                one, other = 0.0, 0.0
+                for a in range(n):
+                    one += mixing[i, a] * ring.momenta[at, a, k]
+                    other += mixing[j, a] * ring.momenta[at, a, k]
+                noise += one * other * ring.mean_noise[k] * ring.mean_noise[k]
             total += ring.shared * abs(noise) * np.sqrt(weight * weights[j])
         largest = max(largest, total)
     # No eigenvalue is larger than the largest sum of a row.
@@ -231,6 +247,7 @@ class HealthySet:
         places = recent(window, last)[::-1]
         weighted = null.weights[places][:, :, None] * window.rows[places, :, -m:]
         map_ = -(weighted.reshape(-1, m) @ gain.T).T.reshape(n + 1, last, n)
+        map_ = np.einsum('kbi,bij->kbj', map_, window.mixing[places])
         # What late efforts do not show yet may be anything: these balances count as they are.
         seen = places[: max(last - self.ring.unseen, 0)]
         map_[:, len(seen) :] = 0.0

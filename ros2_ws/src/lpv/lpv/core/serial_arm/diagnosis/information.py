@@ -36,7 +36,10 @@ class Window(NamedTuple):
     times: FloatArray  # (capacity,) end of each [s]
     trust: FloatArray  # (capacity,) factor of weights, small where something acted from outside
     poses: FloatArray  # (capacity, n) positions in its middle [rad]
-    momenta: FloatArray  # (capacity, n, n) those by unit rates of the readings there, M S^-1
+    # (capacity, n, n) L of rows L r in place of r: noise of one reading is in several joints' r
+    mixing: FloatArray
+    momenta: FloatArray  # (capacity, n, n) those by unit rates of the readings there, L M S^-1
+    relative: FloatArray  # (capacity, n) predicted size of a row's noise over what is usual
     rest: FloatArray  # (capacity, n) 1 where the joint rests or reverses
     rested: IntArray  # (n,) balances for which the joint has rested so far
     # (capacity, n) variance by noise, and by errors of readings that are followed [N2 m2 s2]
@@ -88,9 +91,11 @@ def new_window(joints: int, faults: int, unknowns: int, capacity: int, loads: Fl
     """
     each = capacity, joints
     rest, extra, late, explained = np.zeros((4, *each))
+    mixing, momenta = np.zeros((2, *each, joints))
     return Window(
         np.zeros((*each, 1 + faults + unknowns)), np.zeros(capacity), np.ones(capacity),
-        np.zeros(each), np.zeros((*each, joints)), rest, np.zeros(joints, np.int64), extra, late,
+        np.zeros(each), mixing, momenta, np.ones(each), rest,
+        np.zeros(joints, np.int64), extra, late,
         np.ascontiguousarray(loads), np.zeros(capacity), np.zeros((capacity, len(loads))),
         explained, np.zeros(unknowns), np.zeros(2, np.int64))  # fmt: skip
 

@@ -26,6 +26,7 @@ from lpv.core.serial_arm.diagnosis.alarms import (
 from lpv.core.serial_arm.diagnosis.bank import (
     CONTACT_TIME,
     ENCODER_KINDS,
+    QUIET,
     STUCK_FOR,
     Bank,
     Compared,
@@ -201,7 +202,8 @@ class SerialMonitor:
         self.parts = Parts(
             memory(decision), self.sampler, self.estimator.horizon, self._healthy.ring,
             self.bank.parts, self.estimator.prior, np.zeros(n), self._certified, np.zeros((2, n)),
-            np.zeros((count, 3 * n + 4)), np.zeros((count, n)))  # fmt: skip
+            np.zeros((count, 3 * n + 4)), np.zeros((count, n)), np.zeros(n), np.zeros((3, n)),
+        )  # fmt: skip
         self.apply_settings()
 
     def certify(self, certified: Certified) -> None:
@@ -721,7 +723,8 @@ class SerialMonitor:
     def _frozen(self) -> dict[int, Frozen]:
         """Readings that may be frozen."""
         smallest = self.settings.smallest_step * self.scales
-        return frozen_readings(self.readings, self.sensors, smallest, bool(self.suspects))
+        is_wrong = self.bank.statistic > QUIET * self._state['threshold']
+        return frozen_readings(self.readings, self.sensors, smallest, is_wrong)
 
     def _report_contact(self, now: float) -> None:
         """Something pushes the arm: no sensor is to blame, and nothing is learned from it."""

@@ -81,20 +81,40 @@ def typical_torque(chain: Chain, scale: FloatArray) -> FloatArray:
     return np.sqrt(gravity + (priors.USUAL_ACCELERATION * scale * inertia) ** 2 + friction**2)
 
 
-def momentum_noise(arm: SerialArm, chain: Chain, interval: float) -> FloatArray:
-    """Noise that the sensors' noise makes in the difference of two neighbouring mean momenta.
+def change_noise(arm: SerialArm, interval: float) -> FloatArray:
+    """Variances that the sensors' noise gives the difference of two neighbouring mean rates.
 
     A derived rate is, in the mean of an interval, the difference of the readings at its ends; the
-    reading between two intervals counts twice.  Standard deviations, shape (n,), are root mean
-    squares over poses [N m s]; momenta are averaged over ``interval`` [s].
+    reading between two intervals counts twice.  Shape (n,) [rad2/s2]; rates are averaged over
+    ``interval`` [s].
     """
-    model, poses = SerialModel(chain), np.pi * arm.scales() * _spread(len(arm.joints))
     (noise, step, own, independent), samples = arm.sensors(), interval / arm.sample_time
-    difference = np.sqrt(READINGS_AT_EDGES * (noise**2 + step**2 / 12.0)) / interval
-    rate = np.where(independent, np.sqrt(2.0 / samples) * own, difference)
-    to_joints = arm.sensors_to_joints()
-    parts = np.mean([(model.mass_matrix(q) @ to_joints) ** 2 for q in poses], axis=0)
-    return np.sqrt(parts @ rate**2)
+    difference = READINGS_AT_EDGES * (noise**2 + step**2 / 12.0) / interval**2
+    return np.asarray(np.where(independent, 2.0 / samples * own**2, difference))
+
+
+def balance_noise(
+    arm: SerialArm, chain: Chain, directions: FloatArray, rates: FloatArray, missed: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Noise of a balance's rows by all but the readings [N2 m2 s2], and by all [N m s].
+
+    A row is without what those before it tell of the noise of the readings' rates, by the nominal
+    masses: what these are off in ``directions``, shape (k, n, 10), is left.  ``missed`` are
+    variances by missed torques [N2 m2 s2], ``rates`` as of `change_noise`; shape (n,).  Returned
+    are variances and standard deviations, means over poses, shape (n,).
+    """
+    model, to_joints = SerialModel(chain), arm.sensors_to_joints()
+    poses = np.pi * arm.scales() * _spread(len(rates))
+    along = directions.reshape(len(directions), -1).T
+    wrong = np.array([
+        [model.momentum_regressor(q, one)[0] @ along for one in to_joints.T] for q in poses
+    ])  # fmt: skip
+    other = missed + np.einsum('qjik,qjik,j->i', wrong, wrong, rates) / len(poses)
+    other = np.maximum(other, np.finfo(float).eps * other.max())  # of joints without inertia
+    momenta = np.array([model.mass_matrix(q) for q in poses]) @ to_joints
+    noise = (momenta * rates) @ momenta.swapaxes(1, 2) + np.diag(other)
+    pivots = np.diagonal(np.linalg.cholesky(noise), axis1=1, axis2=2)
+    return other, np.asarray(np.sqrt((pivots**2).mean(axis=0)))
 
 
 def _with_drives(factor: FloatArray, n: int) -> FloatArray:

@@ -15,8 +15,9 @@ from lpv.core.serial_arm.chain import FloatArray, IntArray
 from lpv.core.serial_arm.diagnosis import priors
 from lpv.core.serial_arm.diagnosis.balance import OFFSET, RATE
 from lpv.core.serial_arm.diagnosis.drift_trial import free_of_drift
-from lpv.core.serial_arm.diagnosis.estimator import UNMEASURED, OffsetEstimator, set_residuals
+from lpv.core.serial_arm.diagnosis.estimator import OffsetEstimator, set_residuals
 from lpv.core.serial_arm.diagnosis.information import ROBUST, Posterior, factorise, recent, whiten
+from lpv.core.serial_arm.diagnosis.row_noise import UNMEASURED
 from lpv.core.serial_arm.diagnosis.sampler import block_end
 
 LINEAR = 1.0
@@ -66,13 +67,14 @@ def usual_acceleration(estimator: OffsetEstimator, blocks: FloatArray, joint: in
 
 
 def course_of_frozen(
-    estimator: OffsetEstimator, joint: int, frozen: Frozen, balances: int, blocks: FloatArray
-) -> Course | None:
+    estimator: OffsetEstimator, joint: int, frozen: Frozen, balances: int, blocks: FloatArray,
+    others: bool = False,
+) -> Course | None:  # fmt: skip
     """How likely a joint went on while its reading rests, and where it is then.
 
     The joint may have moved in so many last ``balances``; 0 means ever since the reading froze.
-    ``blocks``, shape (N, 3 n + 4), are those of the horizon, oldest first.  None while no balance
-    holds the time since.
+    ``blocks``, shape (N, 3 n + 4), are those of the horizon, oldest first, in which ``others`` that
+    froze, too, may go on.  None while no balance holds the time since.
     """
     plan, null = estimator.plan, estimator.posterior
     end = block_end(blocks[-1])
@@ -86,8 +88,11 @@ def course_of_frozen(
     blocks = blocks[-(count + 1) * plan.blocks :]
     at = recent(estimator.window, count)[::-1]
     estimator.call(set_residuals, estimator.window, null, count)
-    before = null.residual[:count][::-1]
+    left = before = null.residual[:count][::-1]
     old = rows = estimator.window.rows[at]
+    if others:
+        rows = estimator.rows_of(blocks)
+        before = rows[:, :, 0] + rows[:, :, -len(null.mean) :] @ null.mean
     if first != 0.0:
         rows = _rows_along(estimator, joint, blocks, begin, frozen)
     unknowns = rows[:, :, rows.shape[2] - len(null.mean) :]
@@ -96,7 +101,7 @@ def course_of_frozen(
     moved = np.flatnonzero(estimator.balance.to_joints[:, joint])
     resting = estimator.usual_sizes(at)
     size = resting.copy()
-    size[:, moved] = null.noise[moved]
+    size[:, moved] = null.noise[moved] * estimator.window.relative[at][:, moved]
     inflation = null.inflation
     weights = np.minimum(_weights(before, size, inflation), _weights(after, size, inflation))
     weights[estimator.window.extra[at] >= UNMEASURED] = 0.0
@@ -110,7 +115,7 @@ def course_of_frozen(
     held = null.weights[at].reshape(-1, 1) * old
     known = upper.T @ upper + forced.T @ free - held.T @ old
     # By these weights they are others than estimated.
-    slope = (forced - held).T @ before.reshape(-1, 1)
+    slope = forced.T @ before.reshape(-1, 1) - held.T @ left.reshape(-1, 1)
     factorise(known, null.least)
     whiten(known, cross)
     whiten(known, slope)
@@ -147,6 +152,15 @@ def course_of_frozen(
     return Course(float(gain), begin, end, way, covariance)
 
 
+def blocks_along(
+    estimator: OffsetEstimator, joint: int, blocks: FloatArray, begin: float, frozen: Frozen
+) -> FloatArray:
+    """Blocks whose joint went on from a moment on, at the rate that its reading had."""
+    gone, derived = np.empty(blocks.shape), estimator.balance.derived[joint]
+    free_of_drift(blocks, joint, (1.0, derived), begin, -frozen.rate, gone)
+    return gone
+
+
 def _rows_along(
     estimator: OffsetEstimator, joint: int, blocks: FloatArray, begin: float, frozen: Frozen
 ) -> FloatArray:
@@ -156,8 +170,7 @@ def _rows_along(
     is unknown of it, with friction as estimated: a tangent to its sign would hold the joint.
     """
     n, null, reach = estimator.joints, estimator.posterior, _REACH * frozen.sigma
-    gone, derived = np.empty(blocks.shape), estimator.balance.derived[joint]
-    free_of_drift(blocks, joint, (1.0, derived), begin, -frozen.rate, gone)
+    gone = blocks_along(estimator, joint, blocks, begin, frozen)
     if abs(frozen.rate) > frozen.sigma:
         return estimator.rows_of(gone)
     after, ends = gone[:, 3 * n] > begin, []
