@@ -431,15 +431,17 @@ class Bank:
         ``blocks`` is as in `compare`.
         """
         found, interval = [], self.estimator.plan.interval
-        held, going = blocks(len(self.estimator) + 1), dict[float, FloatArray]()
+        held = blocks(len(self.estimator) + 1)
         for i, one in frozen.items():
             since = held[-1, 3 * self.estimator.joints] - one.time
             # What froze in the same sample goes on, too: gains add up to that of all.
-            along, others = going.get(one.time, held), one.time in going
-            going[one.time] = blocks_along(self.estimator, i, along, one.time, one)
+            others = [j for j in frozen if j < i and frozen[j].time == one.time]
+            along = held
+            for j in others:
+                along = blocks_along(self.estimator, j, along, one.time, frozen[j])
             lengths = [round(time / interval) for time in STUCK_FOR if time < since]
             for count in (0, *lengths):
-                course = course_of_frozen(self.estimator, i, one, count, along, others)
+                course = course_of_frozen(self.estimator, i, one, count, along, bool(others))
                 if course is None:
                     continue
                 rows = count or int(np.ceil(since / interval))

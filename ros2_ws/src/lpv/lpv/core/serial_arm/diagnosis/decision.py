@@ -15,7 +15,6 @@ from lpv.core.serial_arm.diagnosis.bank import BankParts, ask_bank, take_rows
 from lpv.core.serial_arm.diagnosis.estimator import (
     HORIZON,
     INTERVAL,
-    NOISE_SAMPLES,
     Horizon,
     estimate_all,
     has_moved,
@@ -25,6 +24,7 @@ from lpv.core.serial_arm.diagnosis.estimator import (
 from lpv.core.serial_arm.diagnosis.healthy_set import HealthyRing, take_healthy, take_noise
 from lpv.core.serial_arm.diagnosis.information import NEXT, slot
 from lpv.core.serial_arm.diagnosis.published_rates import readings_at_edges
+from lpv.core.serial_arm.diagnosis.row_noise import NOISE_SAMPLES
 from lpv.core.serial_arm.diagnosis.sampler import Sampler, readings_in_jump
 from lpv.core.support.jit import njit_in_place
 from lpv.core.support.records import record_type

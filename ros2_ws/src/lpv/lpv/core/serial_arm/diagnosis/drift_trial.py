@@ -182,13 +182,18 @@ def _compare(
                 by_size[a] += weight * turn * row[a]
                 moved[a] = row[a]
             # Of the unknowns' columns, a drift changes those of the friction of joints that move.
+            changes = False
             for j in range(i + 1):
-                part = trials.mixing[k, i, j] if share[j] != 0.0 else 0.0
+                if share[j] == 0.0:
+                    continue
+                changes, part = True, trials.mixing[k, i, j]
                 for g in range(2):
                     c = (VISCOUS - OFFSET + g) * n + j
                     moved[c] += part * (trials.changes[0, k, j, 1 + g] - trials.rows[k, j, c])
                     score[c] -= weight * left * (moved[c] - row[c])
                     by_size[c] += weight * turn * (moved[c] - row[c])
+            if not changes:
+                continue
             for c in range((VISCOUS - OFFSET) * n, (VISCOUS - OFFSET + 2) * n):
                 if share[c % n] != 0.0:
                     for a in range(m):

@@ -389,7 +389,7 @@ class OffsetEstimator:
             np.zeros(1, np.int64),
             new_row_noise(about.rates, about.other, about.noise, plan.capacity),
         )
-        self.balance, self.window, self.posterior, self.level, self._since = self.horizon[:5]
+        self.balance, self.window, self.posterior, self.level, self._since, _ = self.horizon
         self.call = Entries()
 
     def __len__(self) -> int:

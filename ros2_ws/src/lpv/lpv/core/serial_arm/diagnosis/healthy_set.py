@@ -95,6 +95,8 @@ class HealthyRing(NamedTuple):
     past: FloatArray  # (2,) see `SLACK`
     mean_noise: FloatArray  # (n,) standard deviation of mean rates of an interval [rad/s]
     shared: float  # variance of a balance's noise over that of one mean
+    effect: FloatArray  # (1 + k,) scratch: of a row
+    mixed: FloatArray  # (n, n) scratch: momenta of the rows
 
 
 @njit_in_place
@@ -164,26 +166,31 @@ def remember(ring: HealthyRing, horizon: Horizon, at: int, learn: bool, factor: 
         return
     mixing, doubts = horizon.window.mixing[at], ring.doubts[at]
     for i in range(n):
+        for j in range(n):
+            ring.mixed[i, j] = 0.0
+            for k in range(i + 1):
+                ring.mixed[i, j] += mixing[i, k] * ring.momenta[at, k, j]
+    for i in range(n):
         weight, slack, total = weights[i], 0.0, 0.0
         for k in range(i + 1):
             part = mixing[i, k]
             slack += abs(part) * (doubts[0, k] + doubts[2, k])
             total += weight * part * part * doubts[1, k]
         ring.past[SLACK] += weight * slack * slack
+        for c in range(columns - 1):
+            ring.effect[c] = 0.0
+            for k in range(i + 1):
+                ring.effect[c] += mixing[i, k] * ring.effects[at, k, c]
         for a in range(m):
             share = weight * rows[i, first + a]
-            for k in range(i + 1):
-                for c in range(columns - 1):
-                    ring.right[a, c] += share * mixing[i, k] * ring.effects[at, k, c]
+            for c in range(columns - 1):
+                ring.right[a, c] += share * ring.effect[c]
             ring.right[a, columns - 1] += weight * ring.products[at, i, a]
         for j in range(n):
             noise = 0.0
             for k in range(n):
-                one, other = 0.0, 0.0
-                for a in range(n):
-                    one += mixing[i, a] * ring.momenta[at, a, k]
-                    other += mixing[j, a] * ring.momenta[at, a, k]
-                noise += one * other * ring.mean_noise[k] * ring.mean_noise[k]
+                both = ring.mixed[i, k] * ring.mixed[j, k]
+                noise += both * ring.mean_noise[k] * ring.mean_noise[k]
             total += ring.shared * abs(noise) * np.sqrt(weight * weights[j])
         largest = max(largest, total)
     # No eigenvalue is larger than the largest sum of a row.
@@ -221,7 +228,8 @@ class HealthySet:
             int(np.ceil((sizes.delay[0].max() - 0.5 * arm.sample_time) / plan.interval - SAME)),
             np.zeros((plan.capacity, n, m)), np.zeros((m, columns + 1)), np.zeros(2),
             np.where(self._derived, reading / plan.interval, rate / np.sqrt(plan.blocks)),
-            READINGS_AT_EDGES if self._derived.any() else 2.0)  # fmt: skip
+            READINGS_AT_EDGES if self._derived.any() else 2.0, np.zeros(columns),
+            np.zeros((n, n)))  # fmt: skip
 
     def restart(self) -> None:
         """Begin anew after a gap; called before the estimator's own restart."""

@@ -56,7 +56,8 @@ class RowNoise(NamedTuple):
     matrix: FloatArray  # (n, n) scratch: covariance
     joints: FloatArray  # (capacity, n) scratch: residuals of joints
     common: FloatArray  # (capacity, n, n) scratch: covariances by noise of readings
-    seen: FloatArray  # (n,) scratch
+    seen: FloatArray  # (n,) scratch: sizes of residuals of joints that move, 0 where few are
+    power: FloatArray  # (n,) scratch: variances of rates
 
 
 def new_row_noise(
@@ -66,7 +67,7 @@ def new_row_noise(
     n = len(rates)
     return RowNoise(
         rates, stated, stated.copy(), np.ones(1), np.zeros(n), usual.copy(), np.zeros((n, n)),
-        np.zeros((capacity, n)), np.zeros((capacity, n, n)), np.zeros(n))  # fmt: skip
+        np.zeros((capacity, n)), np.zeros((capacity, n, n)), *np.zeros((2, n)))  # fmt: skip
 
 
 @njit_in_place
@@ -85,12 +86,11 @@ def decorrelate(
             momenta[i, j] = 0.0
             for k in range(n):
                 momenta[i, j] += mixing[i, k] * balance.to_joints[k, j]
+    for k in range(n):
+        noise.power[k] = noise.share[0] * noise.rates[k] + noise.more[k]
+    _set_common(momenta, noise.power, covariance)
     for i in range(n):
         for j in range(n):
-            covariance[i, j] = 0.0
-            for k in range(n):
-                power = noise.share[0] * noise.rates[k] + noise.more[k]
-                covariance[i, j] += momenta[i, k] * power * momenta[j, k]
             mixing[i, j] = 1.0 if i == j else 0.0
         covariance[i, i] += noise.other[i] + window.extra[at, i]
         covariance[i, i] += window.rest[at, i] * dry[i] * dry[i]
@@ -106,6 +106,17 @@ def decorrelate(
                     momenta[i, j] -= share * momenta[k, j]
     for i in range(n):
         window.relative[at, i] = np.sqrt(_variance(noise, window, dry, at, i)) / noise.usual[i]
+
+
+@njit_in_place
+def _set_common(momenta: FloatArray, power: FloatArray, covariance: FloatArray) -> None:
+    """Write the covariance that rates of these variances give momenta, of each by unit rates."""
+    n = power.shape[0]
+    for i in range(n):
+        for j in range(n):
+            covariance[i, j] = 0.0
+            for k in range(n):
+                covariance[i, j] += momenta[i, k] * power[k] * momenta[j, k]
 
 
 @njit_in_place
@@ -138,21 +149,29 @@ def learn_covariance(noise: RowNoise, window: Window, null: Posterior) -> None:
 
     Balances of joints that rest are left out: friction may be anything then.
     """
-    count, n, seen = window.counters[COUNT], noise.other.shape[0], noise.seen
-    for back in range(count):
+    for back in range(window.counters[COUNT]):
         _undo(noise, window, null, back)
-    for i in range(n):
+    for i in range(noise.other.shape[0]):
         k = 0
-        for back in range(count):
+        for back in range(window.counters[COUNT]):
             if _moves(window, slot(window, back), i):
                 null.sizes[k] = abs(noise.joints[back, i])
                 k += 1
-        seen[i] = _usual_value(null.sizes[:k]) if k >= FEW else 0.0
+        noise.seen[i] = _usual_value(null.sizes[:k]) if k >= FEW else 0.0
+    _learn_share(noise, window)
+    _learn_other(noise, window)
+    _predict(noise, window, null.dry)
+
+
+@njit_in_place
+def _learn_share(noise: RowNoise, window: Window) -> None:
+    """Learn k from what the residuals of two joints have in common."""
+    seen = noise.seen
     # What was known has a standard deviation of 1.
     product, square = noise.share[0], 1.0
-    for back in range(count):
+    for back in range(window.counters[COUNT]):
         at = slot(window, back)
-        for i in range(n):
+        for i in range(seen.shape[0]):
             for j in range(i):
                 both = seen[i] * seen[j]
                 if both > 0.0 and _moves(window, at, i) and _moves(window, at, j):
@@ -162,25 +181,37 @@ def learn_covariance(noise: RowNoise, window: Window, null: Posterior) -> None:
                     product += one * other * common
                     square += common * common
     noise.share[0] = max(product / square, 0.0)
-    for i in range(n):
+
+
+@njit_in_place
+def _learn_other(noise: RowNoise, window: Window) -> None:
+    """Learn D from what noise of readings leaves of the residuals' sizes."""
+    for i in range(noise.other.shape[0]):
         k, power = 0, 0.0
-        for back in range(count):
+        for back in range(window.counters[COUNT]):
             if _moves(window, slot(window, back), i):
                 power += noise.share[0] * noise.common[back, i, i]
                 k += 1
-        if seen[i] > 0.0:
+        if noise.seen[i] > 0.0:
             least, weight = noise.stated[i] / (_LARGEST_FACTOR * _LARGEST_FACTOR), _share(k)
-            left = max(seen[i] * seen[i] - power / k, least)
+            left = max(noise.seen[i] * noise.seen[i] - power / k, least)
             noise.other[i] += weight * (left - noise.other[i])
-    for i in range(n):
+
+
+@njit_in_place
+def _predict(noise: RowNoise, window: Window, dry: FloatArray) -> None:
+    """Write usual and relative sizes of the rows' noise, by k and D."""
+    count = window.counters[COUNT]
+    for i in range(noise.other.shape[0]):
         power = 0.0
         for back in range(count):
-            power += _variance(noise, window, null.dry, slot(window, back), i)
+            at = slot(window, back)
+            variance = _variance(noise, window, dry, at, i)
+            power += variance
+            window.relative[at, i] = np.sqrt(variance)
         noise.usual[i] = np.sqrt(power / count)
         for back in range(count):
-            at = slot(window, back)
-            size = np.sqrt(_variance(noise, window, null.dry, at, i))
-            window.relative[at, i] = size / noise.usual[i]
+            window.relative[slot(window, back), i] /= noise.usual[i]
 
 
 @njit_in_place
@@ -197,11 +228,7 @@ def _undo(noise: RowNoise, window: Window, null: Posterior, back: int) -> None:
             for j in range(n):
                 momenta[i, j] -= mixing[i, k] * momenta[k, j]
         noise.joints[back, i] = left
-    for i in range(n):
-        for j in range(n):
-            noise.common[back, i, j] = 0.0
-            for k in range(n):
-                noise.common[back, i, j] += momenta[i, k] * noise.rates[k] * momenta[j, k]
+    _set_common(momenta, noise.rates, noise.common[back])
 
 
 @njit_in_place
