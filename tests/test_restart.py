@@ -129,6 +129,7 @@ class Rig:
 
     def drive(self):
         """Let the arm move for half a second; a busy machine may brake it by itself at any time."""
+        assert self.client.wait(lambda: all(self.heard.values()), 150.0), 'a topic is not heard'
         begin = since = time.monotonic()
         while time.monotonic() - since < 0.5:
             assert since < begin + 600.0, 'the arm is never driven for half a second'
