@@ -35,6 +35,9 @@ FEW = 10
 """Balances from which the size of noise is learned; after as many it is learned anew."""
 LAGS = 8
 """Balances over which what the model does not explain is correlated."""
+_SHARED = 2
+"""Balances later whose noise has something of the same readings: changes of rates are second
+differences of readings.  So it averages out, where what the model misses does not."""
 _LARGEST_INFLATION = 2.0 * LAGS - 1.0
 """1 + 2 sum of autocorrelations of one each: what never changes over these lags."""
 _LARGEST_FACTOR = 10.0
@@ -316,7 +319,8 @@ def _usual_value(sizes: FloatArray) -> float:
 
 @njit_in_place
 def _correlation(values: FloatArray) -> float:
-    """Sum of the positive autocorrelations."""
+    """Sum of the autocorrelations, 0 at least; of lags at which noise shares no readings, of the
+    positive ones, as what the model misses lasts."""
     count, power, total = len(values), 0.0, 0.0
     for k in range(count):
         power += values[k] * values[k]
@@ -325,5 +329,6 @@ def _correlation(values: FloatArray) -> float:
         product = 0.0
         for k in range(lag, count):
             product += values[k] * values[k - lag]
-        total += max(product / (count - lag) / power, 0.0)
-    return total
+        share = product / (count - lag) / power
+        total += share if lag <= _SHARED else max(share, 0.0)
+    return max(total, 0.0)
