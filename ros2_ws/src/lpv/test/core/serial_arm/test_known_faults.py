@@ -169,6 +169,16 @@ def test_given_alarms_that_clear_at_once_when_a_frozen_reading_jumps_then_it_is_
     assert any(alarm.kind == 'stuck' for alarm in monitor.alarms)
 
 
+def test_given_a_known_rate_bias_when_its_readings_freeze_then_it_is_there_afterwards():
+    arm = shoulder_arm('independent')
+    run = simulated(arm, Fault('encoder2', 'rate_bias', 2.0, size=0.3), duration=9.0)
+    run.samples[2500:3000, :2, 1] = run.samples[2499, :2, 1]
+    answers = answered(arm, run)
+    assert [(event.event.name, event.kind) for _, event in answers.events] == [
+        ('RAISED', 'rate_bias'), ('RAISED', 'stuck'), ('CLEARED', 'stuck'),
+    ]  # fmt: skip
+
+
 @pytest.mark.parametrize('latch', [False, True])
 def test_given_a_known_step_when_samples_return_after_a_break_then_answers_are_trusted(latch):
     arm = shoulder_arm()

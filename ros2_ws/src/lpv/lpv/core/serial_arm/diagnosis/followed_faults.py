@@ -28,6 +28,9 @@ class FollowedFaults:
     ----------
     filters : dict of int to FaultFilter
         By sensor.
+    held_rates : dict of int to tuple of float
+        Rates that froze with their readings, by sensor: what they read, and how much of it was
+        their known error before [rad/s].
     """
 
     def __init__(
@@ -42,7 +45,7 @@ class FollowedFaults:
         n = len(sensors)
         self.filters: dict[int, FaultFilter] = {}
         self._ended: list[FaultFilter] = []  # of readings that balances still hold
-        self._held_rates: dict[int, float] = {}  # that froze with their readings [rad/s]
+        self.held_rates: dict[int, tuple[float, float]] = {}
         self._jumped = np.zeros((2, n))  # sum of jumps that nobody has taken, their variance
         self._noted = np.zeros(n)  # correction of which the caller knows [rad]
 
@@ -138,11 +141,11 @@ class FollowedFaults:
         self._ended = [one for one in self._ended if end - one.updated < span]
         for one in self._ended:
             doubt_ended(one, readings.estimator)
-        for i in [*self._held_rates]:
-            if readings.sampler.published[0, i] != self._held_rates[i]:
+        for i in [*self.held_rates]:
+            if readings.sampler.published[0, i] != self.held_rates[i][0]:
                 self._use_rate(i)
         kinematic = [
-            None if i in self._held_rates else bank.kinematics.last(i) for i in self.filters
+            None if i in self.held_rates else bank.kinematics.last(i) for i in self.filters
         ]
         if self.filters:
             known = self.known
@@ -196,7 +199,7 @@ class FollowedFaults:
         end = float(readings.blocks(1)[-1, 3 * len(self._sensors)])
         way = self._bank.kinematics.way(i, math.ceil((end - begin) / interval))
         newest = self._bank.kinematics.last(i)
-        if way is None or newest is None or i in self._held_rates:
+        if way is None or newest is None or i in self.held_rates:
             return None
         # The newest row has the mean rate of its interval.
         acceleration = readings.acceleration(i)
@@ -207,20 +210,20 @@ class FollowedFaults:
     def _do_without_rate(self, i: int, begin: float) -> None:
         """A rate froze with its reading [s]: it is that of the reading, 0, until it changes."""
         estimator, sampler = self._readings.estimator, self._readings.sampler
-        held = self._held_rates[i] = float(sampler.published[0, i])
-        error = held - float(sampler.rate_error[i])
-        correct_rates_since(i, begin, error, self._readings)
-        sampler.rate_error[i] += error
+        held, error = float(sampler.published[0, i]), float(sampler.rate_error[i])
+        self.held_rates[i] = held, error
+        correct_rates_since(i, begin, held - error, self._readings)
+        sampler.rate_error[i] = held
         sampler.derived[i] = estimator.balance.derived[i] = 1.0
         self._bank.kinematics.forget(i)
 
     def _use_rate(self, i: int) -> None:
         """A rate that had frozen with its reading changes, and is that of a sensor again."""
         estimator, sampler = self._readings.estimator, self._readings.sampler
-        sampler.samples[-1, 1, i] = sampler.published[0, i]
-        sampler.rate_error[i] = sampler.derived[i] = estimator.balance.derived[i] = 0.0
+        _, sampler.rate_error[i] = self.held_rates.pop(i)
+        sampler.samples[-1, 1, i] = sampler.published[0, i] - sampler.rate_error[i]
+        sampler.derived[i] = estimator.balance.derived[i] = 0.0
         self._bank.kinematics.forget(i)
-        del self._held_rates[i]
 
     def release(self, i: int, since: int, sigma: float, kept: float = 0.0) -> None:
         """The readings of sensor i are right again, for so many samples, but for an offset.
@@ -255,7 +258,7 @@ class FollowedFaults:
     def end(self, i: int) -> None:
         """Samples to come of sensor i are taken as they are."""
         sampler = self._readings.sampler
-        if i in self._held_rates:
+        if i in self.held_rates:
             self._use_rate(i)
         if self.filters.pop(i, None) is not None or self._sensors[i].kind == 'noise':
             self.trust_rate(i)

@@ -62,21 +62,22 @@ class HealthyBalance(NamedTuple):
     heavier: FloatArray  # (n,) its diagonal over that of the nominal arm
     turned: FloatArray  # (n, n) change of its momenta by that of a reading
     to_joints: FloatArray  # (n, n) S^-1 of y = S q + f
+    scale: FloatArray  # (n,) of joints, what counts as 1 rad
     rate_noise: FloatArray  # (n,) standard deviation of mean joint rates of a block [rad/s]
     reading: FloatArray  # (n,) of mean readings of an interval [rad]
     motion: FloatArray  # (2, n) scratch: joint positions and rates
 
 
 def new_healthy_balance(
-    chain: Chain, sizes: ParameterSet, to_joints: FloatArray, rate_noise: FloatArray,
-    reading: FloatArray,
+    chain: Chain, sizes: ParameterSet, to_joints: FloatArray, scale: FloatArray,
+    rate_noise: FloatArray, reading: FloatArray,
 ) -> HealthyBalance:  # fmt: skip
     """Balances without samples."""
     n = len(chain.translation)
     return HealthyBalance(
         chain, heaviest(chain, sizes), sizes, new_hat(n, 10 * n + _PARTS), np.full((3, n), np.inf),
         np.zeros((2, n)), np.zeros((n, 10 * n)), np.zeros((n, 10 * n)), workspace(chain),
-        np.zeros((n, n)), np.zeros((n, n)), np.ones(n), np.zeros((n, n)), to_joints,
+        np.zeros((n, n)), np.zeros((n, n)), np.ones(n), np.zeros((n, n)), to_joints, scale,
         rate_noise, reading, np.zeros((2, n)))  # fmt: skip
 
 
@@ -154,7 +155,7 @@ def _add_block(balance: HealthyBalance, block: FloatArray, lost: FloatArray, par
     turn = 0.0
     if began:
         for i in range(n):
-            turn += abs(q[i] - balance.last[0, i])
+            turn += abs(q[i] - balance.last[0, i]) / balance.scale[i]
     for i in range(n):
         row = chain.friction[i]
         slope = row[SLOPE]

@@ -220,7 +220,7 @@ class HealthySet:
         difference = np.sqrt(2.0) * reading / (plan.per_block * arm.sample_time)
         by_sensor, to_joints = np.where(self._derived, difference, rate), arm.sensors_to_joints()
         self._balance = new_healthy_balance(
-            chain, sizes, to_joints, np.sqrt(map_rows(to_joints**2, by_sensor**2)),
+            chain, sizes, to_joints, arm.scales(), np.sqrt(map_rows(to_joints**2, by_sensor**2)),
             noise / np.sqrt(plan.per_interval))  # fmt: skip
         self.ring = HealthyRing(
             self._balance, np.zeros((plan.capacity, n, columns)), np.zeros((plan.capacity, 3, n)),

@@ -822,6 +822,8 @@ class SerialMonitor:
 
     def _rate_agrees(self, i: int, now: float) -> bool:
         """Whether a rate has agreed with its reading of late."""
+        if i in self.followed.held_rates:
+            return False
         if self.sampler.derived[i] == 1.0:
             agrees_since = now - float(self.sampler.contrast['contrary_at'][i])
             return agrees_since > STARTS[-1] - self.settings.clear_dwell

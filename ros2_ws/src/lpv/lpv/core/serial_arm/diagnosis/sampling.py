@@ -219,6 +219,7 @@ def restart(sampler: Sampler, balance: Balance) -> None:
             sampler.state[name] = -1 if name == 'pending' else 0
     sampler.still[:] = 0
     sampler.doubtful[:] = 0
+    sampler.jumps[:] = 0.0
     sampler.filled[:] = 0
     sampler.sums[:] = 0.0
     sampler.hidden[:] = 0.0
