@@ -463,16 +463,28 @@ class OffsetEstimator:
         # Where gravity says little, the search would run away from the truth.
         return np.where(np.abs(step) > ROBUST * self.level.sigma, step, 0.0)
 
-    def linearise(self, blocks: FloatArray) -> None:
+    def linearise(self, blocks: FloatArray, other: FloatArray | None = None) -> None:
         """Evaluate the balances of the horizon again, at the present estimate of the offsets.
 
         ``blocks``, shape (N, 3 n + 4), are as in `Sampler.blocks`, oldest first; whole intervals.
+        ``other``, shape (n,), are offsets from which less may be left [rad].
         """
         largest = STRAIGHT * self.balance.scale
-        self.balance.reference[:] += np.clip(self._step(), -largest, largest)
+        near = self.balance.reference + np.clip(self._step(), -largest, largest)
+        left = self._linearise_at(near, blocks)
+        if other is not None and self._linearise_at(other, blocks) > left:
+            self._linearise_at(near, blocks)
+        self._since[:] = 0
+
+    def _linearise_at(self, offsets: FloatArray, blocks: FloatArray) -> float:
+        """Evaluate the balances at these offsets; the sum of squares that is left, with the prior's."""
+        self.balance.reference[:] = offsets
         self.replace_last(blocks)
         self.call(solve_all, self.horizon)
-        self._since[:] = 0
+        level, at = self.level, recent(self.window, len(self))
+        rows = self.window.rows[at]
+        left = rows[:, :, 0] + rows[:, :, -len(level.mean) :] @ level.mean
+        return float((level.weights[at] * left**2).sum() + level.least @ level.mean**2)
 
     def move_reference(self, joint: int, by: float) -> None:
         """Let an offset grow [rad], as the readings do by what is no longer taken out of them."""

@@ -70,6 +70,7 @@ from lpv.core.serial_arm.diagnosis.sampler import (
     STEP,
     new_sampler,
 )
+from lpv.core.serial_arm.diagnosis.row_noise import NOISE_SAMPLES
 from lpv.core.serial_arm.diagnosis.sampling import restart
 from lpv.core.serial_arm.diagnosis.sensor_state import SensorRecord
 from lpv.core.serial_arm.diagnosis.settings import DiagnosisParameters
@@ -144,6 +145,7 @@ class SerialMonitor:
             Stage.RATES: self._judge_rates,
         }
         self._certify_nothing()
+        self._uncorrected: FloatArray | None = None  # offsets of readings as they were, after a gap
         self.misnamed: tuple[str, ...] = ()
         self.reset()
 
@@ -230,6 +232,8 @@ class SerialMonitor:
                 self._jumps.take_out(i, self.followed.take_out_level(i))
                 self.healthy = self.guarantee = None  # readings are changed
                 sensor.level = sensor.unproved = False
+        removed = self.followed.taken_out()
+        self._uncorrected = -removed if removed.any() else None
         restart(self.sampler, self.estimator.balance)
         if self.healthy is not None:
             self.healthy.restart()
@@ -526,7 +530,8 @@ class SerialMonitor:
         return Stage.ESTIMATE
 
     def _linearise(self, _: float) -> Stage:
-        self.estimator.linearise(self.readings.all_blocks())
+        other = self._uncorrected if len(self.estimator) < NOISE_SAMPLES else None
+        self.estimator.linearise(self.readings.all_blocks(), other)
         return Stage.ENDS
 
     def _find_stuck(self, now: float) -> Stage:
