@@ -206,7 +206,7 @@ def decide(parts: Parts) -> None:
         _copy_recent(parts.sampler, parts.recent, parts.lost)
         if state.guarantees:
             blocks = parts.recent, parts.lost
-            take_healthy(parts.healthy, horizon, blocks, state.learns)
+            take_healthy(parts.healthy, horizon, blocks)
         _note_noise(parts)
         for i in range(parts.measured.shape[0]):
             parts.measured[i] = parts.sampler.measured[i] >= state.held

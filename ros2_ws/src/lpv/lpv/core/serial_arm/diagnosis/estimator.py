@@ -477,7 +477,7 @@ class OffsetEstimator:
         self._since[:] = 0
 
     def _linearise_at(self, offsets: FloatArray, blocks: FloatArray) -> float:
-        """Evaluate the balances at these offsets; the sum of squares that is left, with the prior's."""
+        """Evaluate the balances at these offsets; what is left, with the prior, in squares."""
         self.balance.reference[:] = offsets
         self.replace_last(blocks)
         self.call(solve_all, self.horizon)

@@ -1,17 +1,17 @@
 """How far the estimate of a healthy arm may be off: guaranteed thresholds of the offsets.
 
-The estimated offsets are a linear map of the balances in the horizon and of those remembered.  A
-healthy arm's balances are sum_k z_k E_k + noise + slack (`healthy_balance`), abs(z_k) <= 1 and z_k
-constant.  So
+Offsets estimated from the horizon alone are a linear map of its balances.  A healthy arm's balances
+are sum_k z_k E_k + noise + slack (`healthy_balance`), abs(z_k) <= 1 and z_k constant.  So
 
     abs(f^_i) <= sum_k abs(sum_b l_ib E_bk) + sum_b abs(l_ib) slack_b
                  + abs(mean(noise)) + sigmas sd(noise) + rest
 
-with l_i the estimator's own weights: what it has learned of the arm, z_k do not disturb any more.
+with l_i the weights of least squares whose errors last as long as the horizon: what it tells of the
+arm, z_k do not disturb any more.  What is remembered of times before is left out: its slack would
+be most of the threshold.
 The noise is that of the heaviest arm: unlike E_bk, it is none of what was measured.
 Its mean is not zero, as that of rates is in the weights, too (errors in variables).
-The rest is known: where the estimator linearised elsewhere than at the readings.  The slack of what
-is remembered is bounded by the inequality of Cauchy and Schwarz.
+The rest is known: where the estimator linearised elsewhere than at the readings.
 """
 
 from dataclasses import dataclass
@@ -21,8 +21,8 @@ import numpy as np
 
 from lpv.core.serial_arm.chain import FloatArray, IntArray, compile_chain
 from lpv.core.serial_arm.description import SIGMAS, SerialArm
-from lpv.core.serial_arm.diagnosis.balance import READINGS_AT_EDGES, noise_products
-from lpv.core.serial_arm.diagnosis.estimator import PAST_WEIGHT, Horizon, OffsetEstimator
+from lpv.core.serial_arm.diagnosis.balance import noise_products
+from lpv.core.serial_arm.diagnosis.estimator import Horizon, OffsetEstimator
 from lpv.core.serial_arm.diagnosis.hat import drop_hat
 from lpv.core.serial_arm.diagnosis.healthy_balance import (
     HealthyBalance,
@@ -30,14 +30,7 @@ from lpv.core.serial_arm.diagnosis.healthy_balance import (
     generator_count,
     new_healthy_balance,
 )
-from lpv.core.serial_arm.diagnosis.information import (
-    COUNT,
-    NEXT,
-    Posterior,
-    add_balances,
-    recent,
-    slot,
-)
+from lpv.core.serial_arm.diagnosis.information import COUNT, NEXT, recent, slot
 from lpv.core.serial_arm.diagnosis.learning import payload_share
 from lpv.core.serial_arm.diagnosis.parameter_set import parameter_set, payload_generator
 from lpv.core.serial_arm.diagnosis.stuck import LINEAR
@@ -45,9 +38,6 @@ from lpv.core.serial_arm.sensor_map import map_rows
 from lpv.core.support.inequalities import SAME
 from lpv.core.support.jit import njit_in_place
 
-SLACK, NOISE = range(2)
-"""Entries of `HealthyRing.past`: sum of squared slack times weight, largest variance of noise times
-weight, of what is remembered."""
 LEAST_RESPONSE = 0.05
 """An estimate that shows less of an offset is no evidence of one."""
 
@@ -90,32 +80,21 @@ class HealthyRing(NamedTuple):
     unseen: int  # balances whose torques late efforts may still be about to show
     # (capacity, n, m) mean that noise of rates gives to the unknowns' columns times the residual
     products: FloatArray
-    # (m, 2 + k) of what is remembered: A^T W E, then the weighted sum of these means
-    right: FloatArray
-    past: FloatArray  # (2,) see `SLACK`
     mean_noise: FloatArray  # (n,) standard deviation of mean rates of an interval [rad/s]
-    shared: float  # variance of a balance's noise over that of one mean
-    effect: FloatArray  # (1 + k,) scratch: of a row
-    mixed: FloatArray  # (n, n) scratch: momenta of the rows
 
 
 @njit_in_place
-def take_healthy(
-    ring: HealthyRing, horizon: Horizon, blocks: tuple[FloatArray, ...], learn: bool
-) -> None:
+def take_healthy(ring: HealthyRing, horizon: Horizon, blocks: tuple[FloatArray, ...]) -> None:
     """Take the balance that the horizon is about to take.
 
     ``blocks``, shape (2 B, 3 n + 4), are those of its two intervals of B blocks, with what lost
-    samples hide of them, shape (2 B, n).  What leaves the horizon is remembered if ``learn``.
+    samples hide of them, shape (2 B, n).
     """
-    balance, window, capacity = horizon.balance, horizon.window, ring.effects.shape[0]
-    last = blocks[0].shape[0] // 2
+    rows, last = horizon.balance.hat.rows, blocks[0].shape[0] // 2
     if ring.balance.hat.length[0] == 0.0:
-        _add(ring, balance.hat.rows, blocks[0][:last], blocks[1][:last], 0)
-    if window.counters[COUNT] == capacity:
-        remember(ring, horizon, slot(window, capacity - 1), learn, PAST_WEIGHT)
-    at = window.counters[NEXT] % capacity
-    _add(ring, balance.hat.rows, blocks[0][last:], blocks[1][last:], at)
+        _add(ring, rows, blocks[0][:last], blocks[1][:last], 0)
+    at = horizon.window.counters[NEXT] % ring.effects.shape[0]
+    _add(ring, rows, blocks[0][last:], blocks[1][last:], at)
 
 
 @njit_in_place
@@ -152,51 +131,6 @@ def _add(
             ring.doubts[before, 2, i] = max(ring.doubts[before, 2, i], ring.doubts[at, 2, i])
 
 
-@njit_in_place
-def remember(ring: HealthyRing, horizon: Horizon, at: int, learn: bool, factor: float) -> None:
-    """A balance leaves the horizon, as in `information.join`."""
-    (m, columns), n = ring.right.shape, ring.mean_noise.shape[0]
-    rows, weights = horizon.window.rows[at], horizon.null.weights[at]
-    first, largest = rows.shape[1] - m, 0.0
-    ring.past[SLACK] *= factor
-    for a in range(m):
-        for c in range(columns):
-            ring.right[a, c] *= factor
-    if not learn:
-        return
-    mixing, doubts = horizon.window.mixing[at], ring.doubts[at]
-    for i in range(n):
-        for j in range(n):
-            ring.mixed[i, j] = 0.0
-            for k in range(i + 1):
-                ring.mixed[i, j] += mixing[i, k] * ring.momenta[at, k, j]
-    for i in range(n):
-        weight, slack, total = weights[i], 0.0, 0.0
-        for k in range(i + 1):
-            part = mixing[i, k]
-            slack += abs(part) * (doubts[0, k] + doubts[2, k])
-            total += weight * part * part * doubts[1, k]
-        ring.past[SLACK] += weight * slack * slack
-        for c in range(columns - 1):
-            ring.effect[c] = 0.0
-            for k in range(i + 1):
-                ring.effect[c] += mixing[i, k] * ring.effects[at, k, c]
-        for a in range(m):
-            share = weight * rows[i, first + a]
-            for c in range(columns - 1):
-                ring.right[a, c] += share * ring.effect[c]
-            ring.right[a, columns - 1] += weight * ring.products[at, i, a]
-        for j in range(n):
-            noise = 0.0
-            for k in range(n):
-                both = ring.mixed[i, k] * ring.mixed[j, k]
-                noise += both * ring.mean_noise[k] * ring.mean_noise[k]
-            total += ring.shared * abs(noise) * np.sqrt(weight * weights[j])
-        largest = max(largest, total)
-    # No eigenvalue is larger than the largest sum of a row.
-    ring.past[NOISE] = max(ring.past[NOISE], 2.0 * largest)
-
-
 class HealthySet:
     """The set of a healthy arm's balances, beside an estimator whose estimates are bounded.
 
@@ -226,59 +160,45 @@ class HealthySet:
             self._balance, np.zeros((plan.capacity, n, columns)), np.zeros((plan.capacity, 3, n)),
             np.zeros((plan.capacity, n, n)),
             int(np.ceil((sizes.delay[0].max() - 0.5 * arm.sample_time) / plan.interval - SAME)),
-            np.zeros((plan.capacity, n, m)), np.zeros((m, columns + 1)), np.zeros(2),
+            np.zeros((plan.capacity, n, m)),
             np.where(self._derived, reading / plan.interval, rate / np.sqrt(plan.blocks)),
-            READINGS_AT_EDGES if self._derived.any() else 2.0, np.zeros(columns),
-            np.zeros((n, n)))  # fmt: skip
+        )  # fmt: skip
 
     def restart(self) -> None:
-        """Begin anew after a gap; called before the estimator's own restart."""
-        window, null, n = self._estimator.window, self._estimator.posterior, self._estimator.joints
-        for back in range(int(window.counters[COUNT]) - 1, -1, -1):
-            horizon, at = self._estimator.horizon, slot(window, back)
-            self._estimator.call(remember, self.ring, horizon, at, True, 1.0)
-        # As the estimator does, with what it is about to remember.
-        total, right = null.past.copy(), self.ring.right
-        add_balances(window, null, total)
-        right[n:], right[:n] = _eliminated(total, null) @ right, 0.0
+        """Begin anew after a gap."""
         # Intervals that are not complete are forgotten.
         drop_hat(self._balance.hat)
         self._balance.last[:] = np.inf
 
     def evaluate(self) -> Guarantee:
         """Bounds at the last balance."""
-        window, null, n = self._estimator.window, self._estimator.posterior, self._estimator.joints
-        m, last = len(null.mean), int(window.counters[COUNT])
-        inverse = np.linalg.inv(np.triu(null.factor))
-        wanted = np.vstack([np.eye(m)[:n], self._load])
-        gain = wanted @ inverse @ inverse.T
+        window, level, n = self._estimator.window, self._estimator.level, self._estimator.joints
+        m, last = len(level.mean), int(window.counters[COUNT])
         places = recent(window, last)[::-1]
-        weighted = null.weights[places][:, :, None] * window.rows[places, :, -m:]
-        map_ = -(weighted.reshape(-1, m) @ gain.T).T.reshape(n + 1, last, n)
-        map_ = np.einsum('kbi,bij->kbj', map_, window.mixing[places])
+        rows = window.rows[places].reshape(last * n, -1)
+        constant, columns = rows[:, 0], rows[:, -m:]
+        # Errors of the model last as long as the horizon.
+        weights = level.weights[places] * np.minimum(level.inflation / max(last, 1), 1.0)
+        weighted = weights.reshape(-1, 1) * columns
+        wanted = np.vstack([np.eye(m)[:n], self._load])
+        gain = wanted @ np.linalg.inv(weighted.T @ columns + np.diag(level.least))
+        map_ = -gain @ weighted.T
+        estimate = map_ @ constant
+        map_ = np.einsum('kbi,bij->kbj', map_.reshape(n + 1, last, n), window.mixing[places])
         # What late efforts do not show yet may be anything: these balances count as they are.
         seen = places[: max(last - self.ring.unseen, 0)]
         map_[:, len(seen) :] = 0.0
-        from_past = -gain[:, n:] @ _eliminated(null.past, null)
         response = map_.reshape(n + 1, -1) @ self.ring.effects[places].reshape(last * n, -1)
-        remembered = from_past @ self.ring.right
-        response += remembered[:, :-1]
-        products = null.weights[seen].ravel() @ self.ring.products[seen].reshape(-1, m)
-        mean = remembered[:, -1] - gain @ products
+        products = weights[: len(seen)].ravel() @ self.ring.products[seen].reshape(-1, m)
         doubts = self.ring.doubts[places]
         slack = np.abs(map_).reshape(n + 1, -1) @ (doubts[:, 0] + doubts[:, 2]).ravel()
-        # For right sides A^T W e of the past: (d A^T W e)^2 <= (d A^T W A d)(e^T W e).
-        size = np.maximum((gain[:, n:] @ null.recalled[1 + n :, n:] * gain[:, n:]).sum(1), 0.0)
-        slack += np.sqrt(size * self.ring.past[SLACK])
-        share = gain[:, :n] * null.least[:n]
+        share = gain[:, :n] * level.least[:n]
         # Offsets of the other sensors, as far as the map is linear.
         scale = self._estimator.balance.scale
         own = np.append(np.abs(np.diag(share)) * scale, 0.0)
         slack += LINEAR * (np.abs(share) @ scale - own)
         # Of less noise than the file states the mean is less, too.
-        noise = np.abs(mean)
-        noise += SIGMAS * np.sqrt(self._noise(map_, places) + self.ring.past[NOISE] * size)
-        estimate = wanted @ null.mean
+        noise = np.abs(gain @ products) + SIGMAS * np.sqrt(self._noise(map_, places))
         effects, rest = response[:, 1:], np.abs(estimate - response[:, 0])
         doubt = slack + noise + rest
         return Guarantee(
@@ -310,14 +230,3 @@ class HealthySet:
         twice = once[:, 1:] - once[:, :-1]
         total += (once**2).sum(1) @ (variance * ~self._derived)
         return np.asarray(total + (twice**2).sum(1) @ (variance * self._derived))
-
-
-def _eliminated(past: FloatArray, null: Posterior) -> FloatArray:
-    """T of `recall`: right sides on the parameters, with offsets eliminated, (m - n, m).
-
-    ``past`` is that of `Posterior`.
-    """
-    n, m = len(null.sigma), len(null.mean)
-    known = past[1:, -m:]
-    offsets = known[:n, :n] + np.diag(null.least[:n])
-    return np.hstack([-np.linalg.solve(offsets, known[:n, n:]).T, np.eye(m - n)])

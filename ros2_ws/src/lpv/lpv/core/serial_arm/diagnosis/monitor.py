@@ -57,6 +57,7 @@ from lpv.core.serial_arm.diagnosis.parameter_set import is_stated
 from lpv.core.serial_arm.diagnosis.published_rates import CONTRADICTIONS
 from lpv.core.serial_arm.diagnosis.rate_sources import RateSources
 from lpv.core.serial_arm.diagnosis.readings import Readings
+from lpv.core.serial_arm.diagnosis.row_noise import NOISE_SAMPLES
 from lpv.core.serial_arm.diagnosis.sampler import (
     CONTRARY,
     DELAY,
@@ -70,7 +71,6 @@ from lpv.core.serial_arm.diagnosis.sampler import (
     STEP,
     new_sampler,
 )
-from lpv.core.serial_arm.diagnosis.row_noise import NOISE_SAMPLES
 from lpv.core.serial_arm.diagnosis.sampling import restart
 from lpv.core.serial_arm.diagnosis.sensor_state import SensorRecord
 from lpv.core.serial_arm.diagnosis.settings import DiagnosisParameters
