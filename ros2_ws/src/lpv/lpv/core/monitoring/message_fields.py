@@ -141,7 +141,7 @@ class Report:
         if stated.model_error is None:
             return 'none stated: the arm file has no uncertainty.model_error'
         if not self.is_guaranteed:
-            return 'none of offsets after other loads, pushes or a fault that changes, until reset'
+            return 'none of offsets for 10 s after other loads, pushes or faults that change'
         return (
             f'healthy arms with masses and inertias within {stated.model_error:.3g}, friction '
             f'within {stated.friction:.3g}, payload up to {stated.largest_payload:g} kg'

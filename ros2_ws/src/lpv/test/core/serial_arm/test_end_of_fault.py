@@ -122,7 +122,7 @@ def test_given_an_offset_that_nobody_named_when_it_ends_then_the_alarm_of_its_ju
 
 
 @pytest.mark.parametrize(('arm', 'kind', 'k', 'seed'), [
-    ('coarse', 'drift 0.1', 4, 101), ('pausing', 'drift 0.1', 12, 202),
+    ('coarse', 'drift 0.05', 8, 101), ('pausing', 'drift 0.1', 12, 202),
 ])  # fmt: skip
 def test_given_an_end_that_passes_for_a_scale_error_then_bounds_still_hold_none(arm, kind, k, seed):
     (cell,) = cells([arm], [False], ['derived'], [BY_NAME[kind]])
@@ -136,10 +136,10 @@ def test_given_an_end_that_passes_for_a_scale_error_then_bounds_still_hold_none(
     assert outside_bounds(answers, window.stream.stamps, window.truth, span) < 0.01
 
 
-@pytest.mark.parametrize('arm', ['pausing', 'ur10'])
-def test_given_a_drift_that_nobody_named_when_it_ends_in_a_gap_then_its_alarm_holds_none(arm):
+@pytest.mark.parametrize(('arm', 'k'), [('pausing', 1), ('chain3', 2)])
+def test_given_a_drift_that_nobody_named_when_it_ends_in_a_gap_then_its_alarm_holds_none(arm, k):
     subject = _subject(arm).with_rates('derived')
-    part, drift = derived(subject.streams(1)).part(2.0, 8.0), Injected(0, ONSET, ONSET + 0.6, -0.2)
+    part, drift = derived(subject.streams(k)).part(2.0, 8.0), Injected(0, ONSET, ONSET + 0.6, -0.2)
     matrix = np.eye(len(subject.arm.joints))
     window = inject(part, replace(BY_NAME['drift 0.3'], size=1.0), [drift], True, matrix, None)
     missing = slice(*map(window.stream.index, (ONSET + 0.5, ONSET + 0.7)))
@@ -240,25 +240,25 @@ def test_given_a_reading_that_stays_frozen_when_its_joint_goes_on_then_it_is_fol
     assert (np.array(trusted) & np.array(wrong)).mean() < 0.02
 
 
-@pytest.mark.parametrize(('arm', 'joints', 'apart', 'most'), [
-    ('chain3', (1, 2), 0.3, 0.05), ('chain3', range(3), 0.0, 0.1), ('ur10', range(6), 0.0, 0.1),
-    ('panda', range(7), 0.0, 0.1),
+@pytest.mark.parametrize(('arm', 'joints', 'apart'), [
+    ('chain3', (1, 2), 0.3), ('chain3', range(3), 0.0), ('ur10', range(6), 0.0),
+    ('panda', range(7), 0.0),
 ])  # fmt: skip
-def test_given_readings_that_freeze_together_then_all_are_named(arm, joints, apart, most):
+def test_given_readings_that_freeze_together_then_all_are_named(arm, joints, apart):
     subject, end, wrong = _subject(arm).with_rates('derived'), ONSET + 2.0, []
     faults = [Injected(i, ONSET + k * apart, end) for k, i in enumerate(joints)]
     names, last = subject.arm.sensor_names, faults[-1].onset
-    for k in range(3):
+    for k in range(10):
         part = derived(subject.streams(k)).part(2.0, 2.0 + end)
         window = inject(part, BY_NAME['stuck'], faults, True, np.eye(len(names)), None)
         stamps, answers = window.stream.stamps, subject.answers(window.stream)
         raised = {
             one.sensor for _, one in answers.events
-            if one.kind == 'stuck' and (one.detected - stamps[0]) * 1e-9 < last + 0.4
+            if one.kind == 'stuck' and (one.detected - stamps[0]) * 1e-9 < last + 0.65
         }  # fmt: skip
         assert apart or raised == {names[i] for i in joints}
         wrong.append(outside_bounds(answers, stamps, window.truth, (last + SETTLED, end)))
-    assert np.mean(wrong) < most
+    assert np.mean(wrong) < 0.1
 
 
 @pytest.mark.parametrize('arm', ['chain3', 'ur10'])

@@ -71,7 +71,27 @@ def test_given_motion_then_payload_is_known_and_thresholds_shrink_but_of_an_upri
     tolerant = with_joints(ARM, torque_tolerance=description.TorqueTolerance((0.0,), (1.0,)))
     assert np.all(watched(tolerant).slack[1:] > 5.0 * exact.slack[1:])
     low, high = watched(duration=6.0).payload
-    assert low == 0.0 and high < 0.46
+    assert low == 0.0 and high < 0.3
+
+
+def test_given_a_long_run_then_thresholds_do_not_grow():
+    early, late = watched(duration=10.0), watched(duration=30.0)
+    assert np.all(late.threshold <= 1.1 * early.threshold)
+
+
+@pytest.mark.parametrize(('faults', 'pushes'), [
+    ((), (Push(6.0, 7.0, (0.0, 30.0, 0.0)),)),
+    ((Fault('encoder2', 'drift', 6.0, 2.0, rate=0.3),), ()),
+    ((Fault('encoder1', 'rate_bias', 6.0, 2.0, size=0.3),), ()),
+], ids=['push', 'drift', 'rate bias'])  # fmt: skip
+def test_given_what_no_healthy_arm_does_when_it_has_left_the_horizon_then_thresholds_are_back(
+    faults, pushes
+):
+    run, monitor, known = simulated_run(ARM, 22.0, *faults, pushes=pushes), Watched(ARM), []
+    for stamps, samples in zip(np.split(run.stamps, 44), np.split(run.samples, 44)):
+        monitor.take(stamps, samples)
+        known.append(monitor.healthy is not None)
+    assert all(known[:12]) and not any(known[16:32]) and all(known[-4:])
 
 
 def test_given_a_long_run_with_a_gap_when_remembered_then_the_estimate_is_still_explained():

@@ -22,7 +22,7 @@ from lpv.core.serial_arm.diagnosis.estimator import (
     weigh_all,
 )
 from lpv.core.serial_arm.diagnosis.healthy_set import HealthyRing, take_healthy, take_noise
-from lpv.core.serial_arm.diagnosis.information import NEXT, slot
+from lpv.core.serial_arm.diagnosis.information import COUNT, NEXT, slot
 from lpv.core.serial_arm.diagnosis.published_rates import readings_at_edges
 from lpv.core.serial_arm.diagnosis.row_noise import NOISE_SAMPLES
 from lpv.core.serial_arm.diagnosis.sampler import Sampler, readings_in_jump
@@ -64,7 +64,8 @@ DECISION = record_type(
     ('learns', '?'),  # nothing contradicts a healthy arm
     ('follows', '?'),  # faults are followed
     ('ends', '?'),  # jumps may have been ends of faults
-    ('guarantees', '?'),  # nothing has been wrong of which guarantees know nothing
+    ('guarantees', '?'),  # the arm's file states what a healthy arm is
+    ('disturbed', '?'),  # something is wrong now of which guarantees know nothing
     ('suspects', '?'),  # several causes are suspected
     ('pushed', '?'),  # ... or torques from outside are
     ('active', '?'),  # alarms are up that may end
@@ -79,6 +80,8 @@ DECISION = record_type(
     ('held', 'i8'),  # samples of the newest balance, and those that wait
     # What was found:
     ('balances', 'i8'),  # used so far
+    ('lost', 'i8'),  # balances when something was so last, or -1
+    ('sound', '?'),  # thresholds are guaranteed: the horizon holds nothing of that
     ('rests', '?'),  # a reading is conspicuous because it rests
     ('asked', '?'),  # hypotheses have to be compared
 )
@@ -215,6 +218,10 @@ def decide(parts: Parts) -> None:
             take_noise(parts.healthy, horizon, readings_at_edges(parts.sampler))
         take_rows(bank, parts.recent, parts.sampler)
         state.balances += 1
+        if state.disturbed:
+            state.lost = state.balances
+        held = horizon.window.counters[COUNT]
+        state.sound = state.guarantees and state.balances - state.lost > held
         state.stage = _FOLLOW if state.follows else _ESTIMATE
     if state.stage == _ESTIMATE:
         _add_noise(parts)
@@ -223,7 +230,7 @@ def decide(parts: Parts) -> None:
     if state.stage == _ENDS and not state.ends:
         state.stage = _GUARANTEE
     # Guaranteed thresholds change over the horizon.
-    due = state.guarantees and horizon.window.counters[NEXT] % bank.recent == 0
+    due = state.sound and horizon.window.counters[NEXT] % bank.recent == 0
     if state.stage == _GUARANTEE and not due:
         state.stage, state.rests = _REST, False
     if state.stage == _REST:

@@ -176,7 +176,6 @@ class SerialMonitor:
         noise = np.hypot(sensors.position_noise, sensors.quantization)
         sizes = plan.blocks * (plan.capacity + 1), plan.per_block, plan.blocks
         self._healthy = HealthySet(arm, self.estimator)
-        self.healthy = self._healthy if is_stated(arm) else None
         self.guarantee: Guarantee | None = None
         self.bank = Bank(arm, self.estimator)
         smallest = settings.smallest_jump * self.scales
@@ -197,9 +196,10 @@ class SerialMonitor:
         self.suspects: tuple[str, ...] = ()
         self._suspected = np.zeros(n)  # sizes of the faults among these [rad]
         self._stuck: list[Hypothesis] = []
+        stated = is_stated(arm)
         decision = new_record(
-            DECISION, sample_time=arm.sample_time, held=2 * plan.per_interval + DELAY
-        )
+            DECISION, sample_time=arm.sample_time, held=2 * plan.per_interval + DELAY,
+            guarantees=stated, sound=stated, lost=-1)  # fmt: skip
         self._state, count = plain(decision), 2 * plan.blocks
         self.parts = Parts(
             memory(decision), self.sampler, self.estimator.horizon, self._healthy.ring,
@@ -212,6 +212,11 @@ class SerialMonitor:
         """Raise offsets that another observer certifies, too."""
         self._certified = certified
         self.parts = self.parts._replace(certified=certified)
+
+    @property
+    def healthy(self) -> HealthySet | None:
+        """What bounds the estimates of a healthy arm, unless the horizon holds something else."""
+        return self._healthy if self._state['sound'] else None
 
     @property
     def statistic(self) -> float:
@@ -230,13 +235,12 @@ class SerialMonitor:
             sensor.wrong_until = -math.inf  # of no new balance
             if sensor.active and sensor.level:  # new balances know of no offset
                 self._jumps.take_out(i, self.followed.take_out_level(i))
-                self.healthy = self.guarantee = None  # readings are changed
+                self._lose_guarantee()
                 sensor.level = sensor.unproved = False
         removed = self.followed.taken_out()
         self._uncorrected = -removed if removed.any() else None
         restart(self.sampler, self.estimator.balance)
-        if self.healthy is not None:
-            self.healthy.restart()
+        self._healthy.restart()
         self.estimator.restart()
         self.bank.kinematics.restart()
         self._see_nothing_wrong()
@@ -268,7 +272,7 @@ class SerialMonitor:
                     end = end_of_fault(self.readings, self.bank, i, jump, 0.0)
                     ends = end.share > self.settings.beyond or self._may_end_offset(i, jump)
                     self.followed.take_jump(i, jump, sigma)
-                    self.healthy = self.guarantee = None  # the size of the jump is uncertain
+                    self._lose_guarantee()  # the size of the jump is uncertain
                     self._raise(i, 'bias', time, jump, sigma + ends * abs(jump) / sigmas)
             elif sensor.kind == 'noise' or abs(fault[i]) < least[i]:
                 continue
@@ -308,7 +312,8 @@ class SerialMonitor:
         state['learns'] = not (suspects or self.followed.known)
         state['follows'] = len(self.followed) > 0
         state['ends'] = len(self._jumps) > 0
-        state['guarantees'] = self.healthy is not None
+        known = self.followed.known or any(rate.active for rate in self.rates)
+        state['disturbed'] = bool(known) or self.followed.taken_out().any()
         state['suspects'] = suspects or bool(self._suspected.any())
         state['pushed'] = self._contact.since < math.inf
         alarm = self._has_alarm()
@@ -399,7 +404,7 @@ class SerialMonitor:
                     self._forget(i)
                 self._jumps.forget(i)
                 self.followed.trust_rate(i)
-                self.healthy = self.guarantee = None  # its noise is not that of the file
+                self._lose_guarantee()  # its noise is not that of the file
                 noise, since = self.readings.noise(i), now - NOISE_MEMORY * self.arm.sample_time
                 self.estimator.doubt_rates(i, noise, since)
                 self._raise(i, 'noise', now, noise, 0.0)
@@ -433,7 +438,7 @@ class SerialMonitor:
         if not sensor.active and self._is_small(i, size):
             self._forget(i)
             self.bank.kinematics.note_jump(i, sigma**2)
-            self.healthy = self.guarantee = None  # readings are changed
+            self._lose_guarantee()
             return
         if back is None:
             end = self._jumps.begin(i, size, sigma, self._freezes_again(i))
@@ -587,7 +592,7 @@ class SerialMonitor:
         one.take_back(self.readings)
         self.followed.note_correction()
         self.bank.kinematics.forget(i)
-        self.healthy = self.guarantee = None  # readings were wrong
+        self._lose_guarantee()
         left = float(self.followed.taken_out()[i])
         if self._is_small(i, left):
             self._forget(i)
@@ -736,7 +741,7 @@ class SerialMonitor:
         if now > self._contact.until:
             self._event(-1, priors.CONTACT, now, AlarmEvent.RAISED, 0.0, 0.0)
         self._contact.until = now + CONTACT_TIME
-        self.healthy = self.guarantee = None  # the load may be another one from now on
+        self._lose_guarantee()  # the load may be another one from now on
         acted = max(now - self._contact.begin, CONTACT_TIME)
         # Beginnings are ends of balances, but for rounding.
         self.estimator.distrust(round(acted / self.plan.interval))
@@ -745,7 +750,7 @@ class SerialMonitor:
         """The arm has taken a load, or put it down: it is another arm from now on."""
         self.estimator.change_load(begin, change)
         self.bank.restart_statistic()
-        self.healthy = self.guarantee = None  # the load may be any in the file from now on
+        self._lose_guarantee()
         self._event(-1, priors.LOAD, begin, AlarmEvent.RAISED, 0.0, 0.0)
         self._suspect_nothing()
 
@@ -786,7 +791,7 @@ class SerialMonitor:
         """A fault has been named, with some confidence: it is followed from now on."""
         i = one.joint
         self.followed.begin(one)
-        self.healthy = self.guarantee = None  # readings are changed
+        self._lose_guarantee()
         self._suspect_nothing()
         name, fault = {'slip': 'bias'}.get(one.kind, one.kind), float(self.faults()[0][i])
         self._raise(i, name, one.begin, fault, confidence=share)
@@ -1015,11 +1020,17 @@ class SerialMonitor:
         self._state['rests'] = False
         return Stage.REST
 
+    def _lose_guarantee(self) -> None:
+        """The horizon holds what no healthy arm does, or readings that were changed."""
+        self.guarantee, state = None, self._state
+        state['lost'], state['sound'] = state['balances'], False
+
     def _evaluate_guarantee(self) -> None:
         """Guaranteed thresholds now; statistical alarms of offsets beyond them are confirmed."""
-        if self.healthy is None:
+        healthy = self.healthy
+        if healthy is None:
             return
-        self.guarantee = self.healthy.evaluate()
+        self.guarantee = healthy.evaluate()
         for i, sensor in enumerate(self.sensors):
             if sensor.active and sensor.unproved and self.guarantee.exceeded[i]:
                 size = float(self.guarantee.estimate[i])
