@@ -108,12 +108,12 @@ def test_given_late_efforts_or_missed_torques_when_searched_then_they_are_tried(
 
 def test_given_efforts_that_are_late_when_joints_brake_then_thresholds_hold_before_they_tell():
     """Such efforts show the torque of the last balances when these are long complete."""
-    attacker = Attacker(three_joints(effort_delay=0.05), 0.75)
+    attacker = Attacker(three_joints(effort_delay=0.05), 0.6)
     attack = attacker.attack(np.zeros(attacker.numbers), 1)
     attack.joints[CENTRE], attack.joints[PHASE] = [0.6, 2.8, 2.9], [2.0, -0.6, -2.3]
     attack.joints[SWING], attack.joints[SPEED] = [0.7, 0.17, 0.14], [1.6, 1.8, 0.4]
     late = [1.0] * attacker.range.count
-    assert 0.5 < attacker.run(replace(attack, rest=0.65, shares=late, signs=[])).ratio < 1.0
+    assert 0.5 < attacker.run(replace(attack, rest=0.48, shares=late, signs=[])).ratio < 1.0
 
 
 @pytest.mark.parametrize(('lost', 'seed'), [(3, 0), (4, 1), (6, 1)])
