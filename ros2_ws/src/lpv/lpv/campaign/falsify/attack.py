@@ -20,9 +20,9 @@ from lpv.core.monitoring.serial_monitor import SerialSensorMonitor
 from lpv.core.serial_arm.chain import Chain, FloatArray, IntArray, compile_chain
 from lpv.core.serial_arm.description import RATE_BIAS, SerialArm
 from lpv.core.serial_arm.diagnosis.alarms import GUARANTEED, Alarm, SensorState
-from lpv.core.serial_arm.diagnosis.estimator import STRAIGHT, HorizonPlan
+from lpv.core.serial_arm.diagnosis.estimator import HorizonPlan
 from lpv.core.serial_arm.diagnosis.healthy_balance import generator_count
-from lpv.core.serial_arm.diagnosis.healthy_set import LEAST_RESPONSE
+from lpv.core.serial_arm.diagnosis.healthy_set import LEAST_RESPONSE, offsets_beside
 from lpv.core.serial_arm.diagnosis.parameter_set import (
     ParameterSet,
     is_stated,
@@ -54,9 +54,6 @@ _REACH, _SPEED = 0.97, 0.5
 _MOTION, _SHARED, _APART = 4, 5, 3
 """Numbers of a candidate for each joint's motion; those of rest, switching and lost samples; shares
 of a designed range that are none of its arm."""
-_LOADED = 0.2
-"""Share of offsets of other sensors beside which thresholds hold an unknown load of more than a
-third of the arm's mass."""
 _LOST = 0.3
 """Share of the samples that begin a run of lost ones, times its length."""
 
@@ -354,19 +351,12 @@ class _StatedRange:
         return np.array([0.5 * (low + high) + away, swing, speed])
 
     def offsets(self, own: FloatArray) -> list[float]:
-        """Of all sensors but that which is aimed at, as far as balances are linear in them.
-
-        What is quadratic in their sum f, f^2/2 of a torque, is a tenth of what the model may miss.
-        A load that is not known changes the torques that they shift, too.
-        """
-        n, error = len(self.arm.joints), self.arm.uncertainty.model_error or 0.0
-        mass = sum(joint.link.mass for joint in self.arm.joints)
-        loaded = 3.0 * self.arm.uncertainty.largest_payload > mass
-        offsets = np.clip(2.0 * own[n : 2 * n], -1.0, 1.0)
+        """Of all sensors but that which is aimed at."""
+        n = len(self.arm.joints)
+        offsets = np.clip(2.0 * own[n : 2 * n], -1.0, 1.0) * (own[-6] > 0.5)
         offsets[_aim(own, n)] = 0.0
-        largest = min(STRAIGHT, float(np.sqrt(0.2 * error))) * (_LOADED if loaded else 1.0)
-        largest /= max(1.0, float(np.abs(offsets).sum()))
-        return (offsets * self.arm.scales() * largest * (own[-6] > 0.5)).tolist()
+        shares = offsets / max(1.0, float(np.abs(offsets).sum()))
+        return (shares * offsets_beside(self.arm)).tolist()
 
     def delays(self, shares: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Delays and time constants of the efforts [s]."""

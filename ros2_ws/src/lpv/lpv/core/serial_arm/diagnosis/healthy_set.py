@@ -22,7 +22,7 @@ import numpy as np
 from lpv.core.serial_arm.chain import FloatArray, IntArray, compile_chain
 from lpv.core.serial_arm.description import SIGMAS, SerialArm
 from lpv.core.serial_arm.diagnosis.balance import noise_products
-from lpv.core.serial_arm.diagnosis.estimator import Horizon, OffsetEstimator
+from lpv.core.serial_arm.diagnosis.estimator import STRAIGHT, Horizon, OffsetEstimator
 from lpv.core.serial_arm.diagnosis.hat import drop_hat
 from lpv.core.serial_arm.diagnosis.healthy_balance import (
     HealthyBalance,
@@ -34,12 +34,26 @@ from lpv.core.serial_arm.diagnosis.information import COUNT, NEXT, recent, slot
 from lpv.core.serial_arm.diagnosis.learning import payload_share
 from lpv.core.serial_arm.diagnosis.parameter_set import parameter_set, payload_generator
 from lpv.core.serial_arm.diagnosis.stuck import LINEAR
+from lpv.core.serial_arm.diagnosis.turned_balance import (
+    TurnedBalance,
+    add_turned_interval,
+    new_turned_balance,
+)
 from lpv.core.serial_arm.sensor_map import map_rows
 from lpv.core.support.inequalities import SAME
 from lpv.core.support.jit import njit_in_place
 
 LEAST_RESPONSE = 0.05
 """An estimate that shows less of an offset is no evidence of one."""
+
+
+def offsets_beside(arm: SerialArm) -> FloatArray:
+    """Largest sum of other sensors' offsets beside which thresholds hold, shape (n,) [rad].
+
+    What is quadratic in it, f, f^2/2 of a torque, is a tenth of what the model may miss.
+    """
+    error = arm.uncertainty.model_error or 0.0
+    return np.asarray(min(STRAIGHT, float(np.sqrt(0.2 * error))) * arm.scales())
 
 
 @dataclass(frozen=True)
@@ -74,6 +88,8 @@ class HealthyRing(NamedTuple):
     """Balances of a healthy arm, beside those of a horizon."""
 
     balance: HealthyBalance
+    turned: TurnedBalance
+    changes: FloatArray  # (capacity, n, 10 n^2) as of `add_turned_interval`
     effects: FloatArray  # (capacity, n, 1 + k) residual, then the effect of each generator
     doubts: FloatArray  # (capacity, 3, n) as of `add_healthy_interval`
     momenta: FloatArray  # (capacity, n, n) those of the heaviest arm, by unit rates of readings
@@ -124,6 +140,7 @@ def _add(
 ) -> None:
     """Take one interval; what its balance may leave goes into a place of the rings."""
     add_healthy_interval(ring.balance, blocks, lost, rows, ring.effects[at], ring.doubts[at])
+    add_turned_interval(ring.turned, blocks, ring.changes[at])
     # Bends that late efforts show now may have been those of torques of the balances before.
     for back in range(1, ring.unseen + 1):
         before = (at - back) % ring.doubts.shape[0]
@@ -156,8 +173,13 @@ class HealthySet:
         self._balance = new_healthy_balance(
             chain, sizes, to_joints, arm.scales(), np.sqrt(map_rows(to_joints**2, by_sensor**2)),
             noise / np.sqrt(plan.per_interval))  # fmt: skip
+        turned = new_turned_balance(chain, to_joints, offsets_beside(arm))
+        self._inertial = np.zeros((1 + len(sizes.inertial), n, 10))
+        self._inertial[0] = chain.inertial
+        self._inertial[1 + np.arange(len(sizes.body)), sizes.body] = sizes.inertial
         self.ring = HealthyRing(
-            self._balance, np.zeros((plan.capacity, n, columns)), np.zeros((plan.capacity, 3, n)),
+            self._balance, turned, np.zeros((plan.capacity, n, 10 * n * n)),
+            np.zeros((plan.capacity, n, columns)), np.zeros((plan.capacity, 3, n)),
             np.zeros((plan.capacity, n, n)),
             int(np.ceil((sizes.delay[0].max() - 0.5 * arm.sample_time) / plan.interval - SAME)),
             np.zeros((plan.capacity, n, m)),
@@ -168,6 +190,7 @@ class HealthySet:
         """Begin anew after a gap."""
         # Intervals that are not complete are forgotten.
         drop_hat(self._balance.hat)
+        drop_hat(self.ring.turned.hat)
         self._balance.last[:] = np.inf
 
     def evaluate(self) -> Guarantee:
@@ -197,6 +220,7 @@ class HealthySet:
         scale = self._estimator.balance.scale
         own = np.append(np.abs(np.diag(share)) * scale, 0.0)
         slack += LINEAR * (np.abs(share) @ scale - own)
+        slack += self._beside(map_, places)
         # Of less noise than the file states the mean is less, too.
         noise = np.abs(gain @ products) + SIGMAS * np.sqrt(self._noise(map_, places))
         effects, rest = response[:, 1:], np.abs(estimate - response[:, 0])
@@ -206,6 +230,16 @@ class HealthySet:
             map_[:n], slack[:n], noise[:n], rest[:n],
             self._payload_interval(float(estimate[n]), effects[n], float(doubt[n])),
         )  # fmt: skip
+
+    def _beside(self, map_: FloatArray, places: IntArray) -> FloatArray:
+        """Slack of the estimates by offsets of other sensors, beyond what is linear in them."""
+        rows, last, n = map_.shape
+        changes = self.ring.changes[places].reshape(last * n, -1)
+        turned = (map_.reshape(rows, -1) @ changes).reshape(rows * n, 10 * n)
+        effects = turned @ self._inertial.reshape(-1, 10 * n).T
+        slack = np.abs(effects).sum(1).reshape(rows, n)
+        slack[np.arange(n), np.arange(n)] = 0.0
+        return np.asarray(slack.max(1))
 
     def _payload_interval(
         self, estimate: float, effects: FloatArray, doubt: float
