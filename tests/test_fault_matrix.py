@@ -65,8 +65,8 @@ BESIDE = 'derived rates: a drift beside another one is found in half of the runs
 LOST = {
     'real_arm derived drift 0.05': ('ends', BESIDE),
     'real_arm derived drift 0.3': ('ends', SLOW),
-    'recorded real_arm derived drift 0.3': ('named', SLOW),
     'recorded real_arm derived drift 0.1': ('size', PUSHED),
+    'recorded real_arm derived stuck': ('size', WAY),
     'recorded ur10 derived stuck': ('size', WAY),
     'real_arm derived stuck': ('ends', HARDLY),
     'chain3 derived stuck': ('size', WAY),
