@@ -1,5 +1,6 @@
 import io
 import re
+import shlex
 import shutil
 import signal
 import subprocess
@@ -250,6 +251,12 @@ def test_given_an_initialised_arm_when_slow_messages_hold_a_drives_noise_then_no
     monitor = Watched(replace(arm, sample_time=25 * arm.sample_time))
     monitor.take(slow.stamps, slow.samples)
     assert monitor.alarms == []
+
+
+def test_given_a_folder_with_a_space_when_initialised_then_shells_read_its_commands(tmp_path, call):
+    said = call('init', tmp_path / 'my arm').out
+    lines = [shlex.split(line) for line in said.splitlines() if line.startswith('  lpv')]
+    assert [line[line.index('--arm') + 1] for line in lines] == 4 * [f'{tmp_path}/my arm/arm.yaml']
 
 
 def test_given_a_slow_lift_when_initialised_then_its_path_is_as_slow(tmp_path, init):

@@ -5,6 +5,7 @@ import json
 import math
 import os
 import re
+import shlex
 import sys
 from collections.abc import Iterator
 from dataclasses import replace
@@ -99,15 +100,19 @@ def _write(folder: Path, arm: SerialArm, source: str) -> int:
     if arm.locked:
         print('held: ' + ', '.join(f'{joint} at {value:g}' for joint, value in arm.locked))
     print('next: a URDF knows no rotors and sensors; identify them from a recording of a motion')
-    print(f'  lpv excite --arm {file} --out {folder / "motion"}')
-    print(f'  lpv identify recording_bag --arm {file} --out {folder / "identified.yaml"}')
+    known: list[str | Path] = ['--arm', file]
+    _show('excite', *known, '--out', folder / 'motion')
+    _show('identify', 'recording_bag', *known, '--out', folder / 'identified.yaml')
     print('or simulate it as it is')
-    design = ''
     if arm.lpv is not None:
-        design = f' --requirement {requirement}'
-        print(f'  lpv design --arm {file}{design} --out {folder / "gains.yaml"}')
-    print(f'  lpv demo --arm {file}{design} --scenario {scenario}')
+        known += ['--requirement', requirement]
+        _show('design', *known, '--out', folder / 'gains.yaml')
+    _show('demo', *known, '--scenario', scenario)
     return 0
+
+
+def _show(*words: str | Path) -> None:
+    print('  lpv', shlex.join(map(str, words)))
 
 
 def _scenario(arm: SerialArm, source: str) -> str:
