@@ -111,7 +111,8 @@ def with_cell(index, text):
     return HEADER + LINES + ','.join(cells) + '\n'
 
 
-NO_NUMBERS = ((0, 'abc'), (1, '1.2.3'), (4, '0x10'), (6, '1 2'))
+NO_NUMBERS = ((0, 'abc'), (1, '1.2.3'), (4, '0x10'), (6, '1 2'),
+              (0, '1_0'), (2, '1_0'), (3, 'inf'), (5, '-Infinity'), (1, '1e999'))  # fmt: skip
 NO_TIMES = ('', 'nan', 'inf', '-inf', '-0.001', '1e300', '1e999999999', '9e999980', '2147483648')
 LATE = (HEADER + LINES * 3000).encode() + b'\xff\xfe\n' + LINES.encode()
 NOTHING = ('', '\n', HEADER, b'\x80\x81\xff' * 50, bytes(100), LATE)

@@ -158,7 +158,8 @@ def _number(cells: dict[str, str], name: str, line: str, kind: Any, unit: float)
     text = cells[name].strip() if name else ''
     try:
         value = kind(text or 'nan') * unit
-        if kind is not Decimal or value.is_finite():
+        # Python reads 1_0 as 10; NaN is a missing value, but no time.
+        if '_' not in text and (math.isfinite(value) or (kind is float and math.isnan(value))):
             return value
     except (ArithmeticError, ValueError):
         pass
