@@ -4,6 +4,7 @@ from argparse import Namespace
 from collections.abc import Iterable
 
 from lpv.core.support.errors import ConfigError
+from lpv.core.support.options import entries
 
 _JOINTS = """
 --joints JOINT+        joints of the arm, with spaces or commas; all others of the URDF are locked
@@ -243,7 +244,9 @@ def module_of(command: str) -> str:
 
 def refuse(arguments: Namespace, names: Iterable[str], reason: str) -> None:
     """ConfigError for the first of some options that is given and would be left out in silence."""
+    table = COMMANDS[arguments.command].split('\n', 1)[1]
+    defaults = {entry.name: entry.default for entry in entries(table)}
     for name in names:
-        value = getattr(arguments, name)
-        if not (value is None or value is False or value == []):
-            raise ConfigError(f'--{name.replace("_", "-")}', reason)
+        value, option = getattr(arguments, name), f'--{name.replace("_", "-")}'
+        if not (value is None or value is False or value in ([], defaults[option])):
+            raise ConfigError(option, reason)

@@ -525,6 +525,9 @@ def test_given_a_command_when_run_again_then_the_last_holds(bag, replayed, tmp_p
         # The last result stays.
         assert refused(told, *again, *wrong) and raw(tmp_path / 'result') == raw(answers)
     assert refused('--loop: is for a bag that is played', *again, '--loop')
+    for option, value in (('--out', 'x'), ('--preset', 'none'), ('--torque-source', 'command')):
+        told = f'{option}: has no effect on --publish'
+        assert refused(told, 'replay', bag, '--publish', option, value)
     assert refused('no such bag', 'replay', tmp_path / 'typo', *line(bag, tmp_path / 'result')[2:])
     assert sorted(p.name for p in tmp_path.iterdir() if p.name[0] == '.') == []
     call(*again, '--gains', 'paper')

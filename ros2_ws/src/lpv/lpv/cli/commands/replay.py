@@ -31,10 +31,10 @@ from lpv.core.support.timestamps import NANOSECONDS
 _PLAYED = ('topics', 'rate', 'loop', 'clock_rate', 'wait')
 """Options of a `lpv.bag.replay.player.Player`, which has their defaults."""
 _OFFLINE = (
-    *('inject', 'report', 'topic', 'effort_topic'),
+    *('out', 'preset', 'inject', 'report', 'topic', 'effort_topic', 'torque_source'),
     *('arm', 'gains', 'requirement', 'parameters', 'estimates_only'),
 )
-"""Options of a replay that have no default."""
+"""Options of a replay that runs offline."""
 
 
 def run(arguments: argparse.Namespace) -> int:
