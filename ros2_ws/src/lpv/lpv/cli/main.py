@@ -32,7 +32,7 @@ def build_parser(chosen: str | None = None) -> argparse.ArgumentParser:
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Entry point; exit code 2 for bad input."""
+    """Entry point; exit code 2 for bad input, 130 if interrupted."""
     complete(build_parser, COMMANDS)
     one_thread()
     is_shell, argv = argv is None, sys.argv[1:] if argv is None else argv

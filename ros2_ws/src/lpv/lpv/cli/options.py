@@ -62,7 +62,7 @@ gains      gains file as written by lpv design, or name of shipped ones
     'falsify': """search for healthy runs that cross a threshold
 --arm ARM!              arm file, or name of a shipped arm
 --gains GAINS           gains file, or name of a shipped one; two-link arms only
---evaluations=20000[1:1000000000]  runs
+--evaluations=20000[1:1000000000]  runs; after Ctrl-C (code 130) the worst one so far is written
 --duration=6.0[0.1:600]  of a run [s]
 --seed=0                of the search
 --repeat scenario.yaml  only run this attack again

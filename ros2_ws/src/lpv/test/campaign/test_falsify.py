@@ -12,6 +12,7 @@ from lpv.core.serial_arm.arm_file import save_arm
 from lpv.core.serial_arm.description import TorqueTolerance, Uncertainty
 from lpv.core.serial_arm.diagnosis.estimator import STRAIGHT
 from lpv.core.serial_arm.diagnosis.healthy_set import offsets_beside
+from lpv.core.support.config import read_yaml
 from lpv.core.uio.planar import planar_model
 from lpv.identify.sensors import noise_deviation
 
@@ -238,6 +239,23 @@ def test_given_a_worst_run_when_written_then_the_command_repeats_it_bit_by_bit(
     assert refused('worst run of another search', 'falsify', *options, '--out', tmp_path)
     monkeypatch.setattr('lpv.cli.commands.falsify.search', None)
     assert refused('File exists', 'falsify', *options, '--out', tmp_path / 'arm.yaml')
+
+
+def test_given_a_search_when_interrupted_then_its_worst_run_is_written(tmp_path, call, monkeypatch):
+    run, runs = Attacker.run, []
+
+    def stopped(attacker, attack):
+        runs.append(run(attacker, attack))
+        if len(runs) == 3:
+            raise KeyboardInterrupt
+        return runs[-1]
+
+    monkeypatch.setattr(Attacker, 'run', stopped)
+    words = ['--arm', 'paper', '--gains', 'paper', '--duration', 0.6, '--out', tmp_path]
+    said = call('falsify', *words, code=130)
+    assert 'in 2 runs' in said.out and said.err.endswith('interrupted\n')
+    assert read_yaml(tmp_path / SCENARIO)['ratio'] == max(one.ratio for one in runs[:2])
+    assert (tmp_path / BAG / 'metadata.yaml').is_file()
 
 
 def test_given_no_attack_or_guarantee_then_refused(tmp_path, ur10, paper_arm, paper_gains, refused):

@@ -29,9 +29,13 @@ def search(
     evaluations: int,
     seed: int = 0,
     progress: Callable[[int, Finding], None] | None = None,
+    found: list[Finding] | None = None,
 ) -> list[Finding]:
-    """Attacks, the worst first; ``progress`` gets the number of runs and each worst one so far."""
-    rng, found = np.random.default_rng(seed), list[Finding]()
+    """Attacks, the worst first; ``progress`` gets the number of runs and each worst one so far.
+
+    A list that is given as ``found`` is filled on the way: what ends the search leaves it.
+    """
+    rng, found = np.random.default_rng(seed), [] if found is None else found
 
     def ratio(candidate: FloatArray) -> float:
         found.append(attacker.run(attacker.attack(candidate, int(rng.integers(2**31)))))

@@ -13,7 +13,7 @@ from lpv.core.uio.certificate.gains import load_gains
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Search, write the worst run; 1 if a healthy arm crossed a threshold."""
+    """Search, write the worst run so far; 1 if a healthy arm crossed a threshold."""
     arm = arguments.arm
     if arguments.repeat:
         attack, duration = read_attack(arguments.repeat)
@@ -23,7 +23,18 @@ def run(arguments: argparse.Namespace) -> int:
     folder.mkdir(parents=True, exist_ok=True)  # what fails is said before hours of searching
     if (folder / BAG).exists():
         raise ConfigError('--out', f'{folder} holds the worst run of another search')
-    found = search(attacker, arguments.evaluations, arguments.seed, _show)
+    found = list[Finding]()
+    try:
+        search(attacker, arguments.evaluations, arguments.seed, _show, found)
+    except KeyboardInterrupt:
+        if found:
+            _write(attacker, found, folder)
+        raise  # to the exit code of all commands that are interrupted
+    return _write(attacker, found, folder)
+
+
+def _write(attacker: Attacker, found: list[Finding], folder: Path) -> int:
+    found.sort(key=lambda finding: -finding.ratio)
     write_worst(attacker, found[0], folder)
     print(f'worst run: {folder / SCENARIO}, {folder / BAG}')
     return _conclude(attacker, found)
