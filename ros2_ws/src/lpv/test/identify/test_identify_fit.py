@@ -153,10 +153,13 @@ def test_given_a_fault_in_the_recording_then_the_diagnosis_names_it(arm, recordi
 
 def test_given_efforts_that_nothing_explains_then_it_is_said(recording, result, arm):
     rough = 10.0 * np.random.default_rng(3).normal(size=recording.effort.shape) * [0, 0, 1]
-    found = identify(arm, [replace(recording, effort=recording.effort + rough)])
-    (said,) = (text for text in found.warnings if 'is explained' in text)
-    assert said.startswith('three') and found.figures.r2[2] < 0.5
-    assert not any('is explained' in text for text in result.warnings)
+    faulty = replace(recording, effort=recording.effort + rough)
+    found = identify(arm, [faulty])
+    for one in (found, calibrate(result.arm, [faulty])):
+        (said,) = (text for text in one.warnings if 'is explained' in text)
+        assert said.startswith('three') and found.figures.r2[2] < 0.5
+    for one in (result, calibrate(result.arm, [recording])):
+        assert not any('is explained' in text for text in one.warnings)
 
 
 def test_given_efforts_without_gravity_when_identified_then_it_is_found(arm, simulated):

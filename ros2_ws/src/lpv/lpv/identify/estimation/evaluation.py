@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -19,6 +20,7 @@ _REMEDIES = (
     ((*_LINK[4:], 'rotor'), 'accelerate it more'),
     (TERMS, 'move it at more different speeds, both ways'),
 )
+_EXPLAINED = 0.5  # share of an effort's variance below which it is said
 
 
 @dataclass(frozen=True)
@@ -64,21 +66,38 @@ def figures(predictions: Sequence[Prediction], bands: Bandwidths, step: float) -
     measured, missed, band, counts = (
         np.concatenate([getattr(p, name) for p in predictions]) for name in names
     )
-
-    def mean(values: np.ndarray, which: np.ndarray = counts) -> np.ndarray:
-        return np.sum(values * which, axis=0) / np.maximum(np.sum(which, axis=0), 1)
-
+    mean = partial(_mean, which=counts)
     square = mean(missed**2)
     lag = max(1, int(round(0.5 / (min(bands.test, 0.5 / step) * step))))
     centred = band - mean(band)
-    products = mean(centred[lag:] * centred[:-lag], counts[lag:] & counts[:-lag])
+    products = _mean(centred[lag:] * centred[:-lag], counts[lag:] & counts[:-lag])
     return Figures(
         np.sqrt(square),
         np.sqrt(mean(band**2)),
         np.sqrt(square) / np.maximum(np.ptp(measured, axis=0), 1e-12),
-        1.0 - square / np.maximum(mean((measured - mean(measured)) ** 2), 1e-24),
+        explained(measured, missed, counts),
         products / np.maximum(mean(centred**2), 1e-24),
     )
+
+
+def _mean(values: np.ndarray, which: np.ndarray) -> np.ndarray:
+    return np.sum(values * which, axis=0) / np.maximum(np.sum(which, axis=0), 1)
+
+
+def explained(measured: np.ndarray, missed: np.ndarray, counts: np.ndarray) -> np.ndarray:
+    """R2 of each joint, shape (n,), from efforts and what a model misses, shape (samples, n)."""
+    spread = measured - _mean(measured, counts)
+    return 1.0 - _mean(missed**2, counts) / np.maximum(_mean(spread**2, counts), 1e-24)
+
+
+def hardly_explained(joints: Sequence[str], r2: np.ndarray) -> list[str]:
+    """Remarks on joints whose efforts the model hardly explains."""
+    return [
+        f'{name}: less than half of its efforts is explained (R2 {share:.2g}): its motion says too '
+        'little, or there is a mistake that was not found'
+        for name, share in zip(joints, r2)
+        if share < _EXPLAINED
+    ]
 
 
 @dataclass(frozen=True)

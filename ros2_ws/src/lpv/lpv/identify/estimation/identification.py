@@ -13,6 +13,7 @@ from lpv.identify.estimation.evaluation import (
     Prediction,
     determine,
     figures,
+    hardly_explained,
     predict,
 )
 from lpv.identify.estimation.health import unhealthy
@@ -26,7 +27,6 @@ from lpv.identify.sensors import Sensing, sense
 
 STEPS = 9
 """Steps of an identification that are reported."""
-_EXPLAINED = 0.5  # share of an effort's variance, of data held back, below which it is said
 
 
 @dataclass(frozen=True)
@@ -91,12 +91,7 @@ def identify(
     workshop.warnings += unhealthy(found, [*recordings, *tests])
     step = workshop.step
     shown = figures(predictions, workshop.bands, step)
-    workshop.warnings += [
-        f'{name}: less than half of the efforts held back is explained (R2 {share:.2g}): its '
-        'motion says too little, or there is a mistake that was not found'
-        for name, share in zip(found.joint_names, shown.r2)
-        if share < _EXPLAINED
-    ]
+    workshop.warnings += hardly_explained(found.joint_names, shown.r2)
     return Identification(
         found,
         shown,

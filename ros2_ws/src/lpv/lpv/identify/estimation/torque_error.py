@@ -13,6 +13,7 @@ from lpv.core.serial_arm.diagnosis.parameter_error import model_error, typical_t
 from lpv.core.support.limits import SMALL
 from lpv.identify.errors import IdentificationError
 from lpv.identify.estimation.autocorrelation import autocovariance
+from lpv.identify.estimation.evaluation import explained, hardly_explained
 from lpv.identify.estimation.health import unhealthy
 from lpv.identify.model.rigid_body import joint_torques
 from lpv.identify.recordings.filters import derivative, low_pass
@@ -167,6 +168,9 @@ def calibrate(arm: SerialArm, recordings: Sequence[Recording]) -> Calibration:
         for name, speed in zip(arm.joint_names, fastest)
         if speed < SMALL
     ]
+    efforts = [motion.effort[cut] for (motion, _), cut in zip(parts, cuts)]
+    r2 = explained(*map(np.concatenate, (efforts, residuals, counts)))
+    warnings += hardly_explained(arm.joint_names, r2)
     rms = np.sqrt(np.mean(np.concatenate(residuals) ** 2, axis=0))
     given = replace(sensing.on(arm), sample_time=step)
     # Without the errors that were measured: they hold what is wrong in the recording.
