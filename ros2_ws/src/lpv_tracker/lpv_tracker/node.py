@@ -130,6 +130,8 @@ class TrackerNode(ManagedNode):
         row = dict(zip(ROWS, self._estimate))
         self._corrected, self._measured = row['compensated_position'], row['measured_position']
         self._velocity, self._measured_velocity = row['velocity'], row['measured_velocity']
+        self._endless = np.array([joint.is_endless for joint in self._arm.joints])
+        self._place = np.zeros(joints)  # measured positions of the last estimate [rad]
         self._forgotten: np.ndarray | None = None  # correction before a silence [rad]
         self._correction, self._compensation = CorrectionLimit(self._arm), ''
         self._choose_feedback()
@@ -279,8 +281,17 @@ class TrackerNode(ManagedNode):
         elif not (self.lockstep or self._stamps.accept(stamp)):
             self._refusals.add('estimate whose stamp fits no stream')
         else:
+            if self._endless.any():
+                self._keep_turns()
             return True
         return False
+
+    def _keep_turns(self) -> None:
+        """An observer that is restarted counts turns of endless joints anew: none of the arm's."""
+        if self._last is not None:
+            turns = np.round((self._place - self._measured) / (2.0 * np.pi))
+            self._estimate[:3] += 2.0 * np.pi * turns * self._endless  # all positions of `ROWS`
+        self._place[:] = self._measured
 
     def _judge(self, message: StateEstimate, stamp: int, now: int) -> StopReason:
         """Why an estimate must not be followed."""

@@ -68,6 +68,16 @@ def test_given_estimates_when_trustworthy_then_each_is_answered_and_the_arm_stop
     assert node._refusals.counts == {'estimate with another number of joints than the arm': 3}
 
 
+def test_given_an_observer_that_counts_turns_anew_when_joints_are_endless_then_the_arm_goes_on(
+    node,
+):
+    node._endless[:] = True
+    assert answers(node, (1, 2)) == [False] * 2
+    assert answers(node, (3, 4), offset=np.array([2.0, -4.0]) * np.pi) == [False] * 2
+    torque = np.array([message.torque for message in node.sent.sent])
+    assert np.abs(np.diff(torque[1:], axis=0)).max() < 1.0
+
+
 @pytest.mark.parametrize('node', [{'arm': 'ur10'}], indirect=True)
 def test_given_a_serial_arm_when_estimated_then_torques_carry_it_until_it_is_far_off(node):
     assert answers(node, (1, 2, 3)) == [False] * 3
