@@ -24,7 +24,7 @@ from lpv.core.serial_arm.diagnosis.estimator import (
 from lpv.core.serial_arm.diagnosis.healthy_set import HealthyRing, take_healthy, take_noise
 from lpv.core.serial_arm.diagnosis.information import COUNT, NEXT, slot
 from lpv.core.serial_arm.diagnosis.published_rates import readings_at_edges
-from lpv.core.serial_arm.diagnosis.row_noise import NOISE_SAMPLES
+from lpv.core.serial_arm.diagnosis.row_noise import NOISE_SAMPLES, is_due
 from lpv.core.serial_arm.diagnosis.sampler import Sampler, readings_in_jump
 from lpv.core.support.jit import njit_in_place
 from lpv.core.support.records import record_type
@@ -81,6 +81,7 @@ DECISION = record_type(
     # What was found:
     ('balances', 'i8'),  # used so far
     ('lost', 'i8'),  # balances when something was so last, or -1
+    ('exceeds', '?'),  # an estimate exceeds its guaranteed threshold
     ('sound', '?'),  # thresholds are guaranteed: the horizon holds nothing of that
     ('rests', '?'),  # a reading is conspicuous because it rests
     ('asked', '?'),  # hypotheses have to be compared
@@ -230,7 +231,9 @@ def decide(parts: Parts) -> None:
     if state.stage == _ENDS and not state.ends:
         state.stage = _GUARANTEE
     # Guaranteed thresholds change over the horizon.
-    due = state.sound and horizon.window.counters[NEXT] % bank.recent == 0
+    due = state.sound and (
+        is_due(horizon.window) or horizon.window.counters[NEXT] % bank.recent == 0
+    )
     if state.stage == _GUARANTEE and not due:
         state.stage, state.rests = _REST, False
     if state.stage == _REST:
@@ -245,7 +248,8 @@ def decide(parts: Parts) -> None:
         quiet = bank.state[0].statistic < state.threshold and not (state.suspects or state.pushed)
         state.stage = _LEVELS if quiet and not state.asked else _NAME
     if state.stage == _LEVELS:
-        state.stage = _RAISE if _find_levels(parts) else _END
+        found = _find_levels(parts)
+        state.stage = _RAISE if found or state.exceeds else _END
     if state.stage == _END and not state.active:
         state.stage = _RATES
     probe, probed = parts.sampler.probe.shape[0], parts.sampler.state[0].probed

@@ -845,6 +845,9 @@ class SerialMonitor:
             self._report_contact(now)
             return Stage.END
         gain, excluded = self.parts.beyond
+        if self._state['exceeds'] and self.guarantee is not None:
+            excluded = np.maximum(excluded, self.guarantee.exceeded)
+        self._state['exceeds'] = False
         for i in np.flatnonzero((gain > 0.0) | (excluded > 0.0)).tolist():
             sensor = self.sensors[i]
             if sensor.active or self.sampler.noisy[i]:
@@ -864,7 +867,7 @@ class SerialMonitor:
             sensor.level = True
             fault = float(self.faults()[0][i])
             if excluded[i] > 0.0:
-                # The set bounds what a healthy arm shows, not how fast an offset is found.
+                # Sets bound what a healthy arm shows, not how fast an offset is found.
                 self._raise(i, 'bias', now, fault, guaranteed=True)
                 continue
             self._evaluate_guarantee()
@@ -1017,7 +1020,8 @@ class SerialMonitor:
 
     def _renew_guarantee(self, _: float) -> Stage:
         self._evaluate_guarantee()
-        self._state['rests'] = False
+        exceeded = self.guarantee is not None and self.guarantee.exceeded.any()
+        self._state['exceeds'], self._state['rests'] = exceeded, False
         return Stage.REST
 
     def _lose_guarantee(self) -> None:
