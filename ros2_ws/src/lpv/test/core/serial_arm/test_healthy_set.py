@@ -2,7 +2,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from fault_injection import with_joints, with_sensors
+from fault_injection import BY_NAME, cells, draw, with_joints, with_sensors
 from serial_arms import answered, shoulder_arm, watch
 from simulated_runs import Push, simulated_run
 from watched import Watched
@@ -258,6 +258,15 @@ def answers(*faults, uncertainty=STATED, pushes=(), duration=5.0):
     arm = shoulder_arm('independent', uncertainty)
     found = answered(arm, simulated_run(arm, duration, *faults, pushes=pushes))
     return [event for _, event in found.events], found.reports[-1][1]
+
+
+@pytest.mark.parametrize('k', [0, 2])
+def test_given_an_offset_beyond_its_threshold_when_likelihoods_wait_then_it_is_an_alarm(k):
+    (cell,) = cells(['coarse'], [False], ['independent'], [BY_NAME['offset 0.2']])
+    subject, window, _ = draw(cell, k, 1)
+    (_, alarm), *_ = subject.answers(window.stream).events
+    assert (alarm.sensor_index, alarm.basis) == (window.faults[0].sensor, GUARANTEED)
+    assert alarm.detected < window.stream.stamps[0] + 2.2e9
 
 
 @pytest.mark.parametrize(('uncertainty', 'size', 'basis', 'said'), [
