@@ -145,7 +145,6 @@ class SerialMonitor:
             Stage.RATES: self._judge_rates,
         }
         self._certify_nothing()
-        self._uncorrected: FloatArray | None = None  # offsets of readings as they were, after a gap
         self.misnamed: tuple[str, ...] = ()
         self.reset()
 
@@ -177,6 +176,7 @@ class SerialMonitor:
         sizes = plan.blocks * (plan.capacity + 1), plan.per_block, plan.blocks
         self._healthy = HealthySet(arm, self.estimator)
         self.guarantee: Guarantee | None = None
+        self._uncorrected: FloatArray | None = None  # offsets of readings as they were, after a gap
         self.bank = Bank(arm, self.estimator)
         smallest = settings.smallest_jump * self.scales
         # Before any e was seen, jumps count from twice the smallest one.
@@ -235,7 +235,6 @@ class SerialMonitor:
             sensor.wrong_until = -math.inf  # of no new balance
             if sensor.active and sensor.level:  # new balances know of no offset
                 self._jumps.take_out(i, self.followed.take_out_level(i))
-                self._lose_guarantee()
                 sensor.level = sensor.unproved = False
         removed = self.followed.taken_out()
         self._uncorrected = -removed if removed.any() else None
@@ -272,7 +271,6 @@ class SerialMonitor:
                     end = end_of_fault(self.readings, self.bank, i, jump, 0.0)
                     ends = end.share > self.settings.beyond or self._may_end_offset(i, jump)
                     self.followed.take_jump(i, jump, sigma)
-                    self._lose_guarantee()  # the size of the jump is uncertain
                     self._raise(i, 'bias', time, jump, sigma + ends * abs(jump) / sigmas)
             elif sensor.kind == 'noise' or abs(fault[i]) < least[i]:
                 continue
@@ -314,6 +312,8 @@ class SerialMonitor:
         state['ends'] = len(self._jumps) > 0
         known = self.followed.known or any(rate.active for rate in self.rates)
         state['disturbed'] = bool(known) or self.followed.taken_out().any()
+        if state['disturbed']:
+            self._lose_guarantee()
         state['suspects'] = suspects or bool(self._suspected.any())
         state['pushed'] = self._contact.since < math.inf
         alarm = self._has_alarm()
@@ -404,7 +404,6 @@ class SerialMonitor:
                     self._forget(i)
                 self._jumps.forget(i)
                 self.followed.trust_rate(i)
-                self._lose_guarantee()  # its noise is not that of the file
                 noise, since = self.readings.noise(i), now - NOISE_MEMORY * self.arm.sample_time
                 self.estimator.doubt_rates(i, noise, since)
                 self._raise(i, 'noise', now, noise, 0.0)
@@ -791,7 +790,6 @@ class SerialMonitor:
         """A fault has been named, with some confidence: it is followed from now on."""
         i = one.joint
         self.followed.begin(one)
-        self._lose_guarantee()
         self._suspect_nothing()
         name, fault = {'slip': 'bias'}.get(one.kind, one.kind), float(self.faults()[0][i])
         self._raise(i, name, one.begin, fault, confidence=share)

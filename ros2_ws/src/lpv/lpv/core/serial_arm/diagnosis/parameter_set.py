@@ -1,6 +1,6 @@
 """The healthy arms that an arm file allows: a zonotope of parameters.
 
-Every parameter error is sum_k z_k G_k with abs(z_k) <= 1, each z_k constant while it is remembered.
+Every parameter error is sum_k z_k G_k with abs(z_k) <= 1, each z_k constant over the horizon.
 """
 
 from typing import NamedTuple
