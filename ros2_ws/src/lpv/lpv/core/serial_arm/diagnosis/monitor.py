@@ -843,10 +843,11 @@ class SerialMonitor:
             self._report_contact(now)
             return Stage.END
         gain, excluded = self.parts.beyond
+        suspected, guaranteed = (gain > 0.0) | (excluded > 0.0), excluded > 0.0
         if self._state['exceeds'] and self.guarantee is not None:
-            excluded = np.maximum(excluded, self.guarantee.exceeded)
+            guaranteed |= self.guarantee.exceeded
         self._state['exceeds'] = False
-        for i in np.flatnonzero((gain > 0.0) | (excluded > 0.0)).tolist():
+        for i in np.flatnonzero(suspected | guaranteed).tolist():
             sensor = self.sensors[i]
             if sensor.active or self.sampler.noisy[i]:
                 continue
@@ -856,7 +857,10 @@ class SerialMonitor:
             odds = self.bank.offset_against_contact(i) + math.log(prior)
             # Torques from outside that were the cause remain it when their onset, which told them
             # from an offset, has left the horizon.
-            if odds < -self._sure or now - self._contact.leant < HORIZON:
+            leans = now - self._contact.leant < HORIZON
+            if not suspected[i] and (leans or odds < self._sure):
+                continue
+            if leans or odds < -self._sure:
                 self._contact.leant, odds = now, -math.inf
             if odds < self._sure:
                 label = f'{self.arm.sensor_names[i]}:bias'
@@ -864,15 +868,14 @@ class SerialMonitor:
                 continue
             sensor.level = True
             fault = float(self.faults()[0][i])
-            if excluded[i] > 0.0:
+            if guaranteed[i]:
                 # Sets bound what a healthy arm shows, not how fast an offset is found.
                 self._raise(i, 'bias', now, fault, guaranteed=True)
                 continue
             self._evaluate_guarantee()
-            guaranteed = self.guarantee is not None and bool(self.guarantee.exceeded[i])
-            sensor.unproved = not guaranteed
+            sensor.unproved = self.guarantee is None or not self.guarantee.exceeded[i]
             share = 1.0 / (1.0 + math.exp(-odds))
-            self._raise(i, 'bias', 0.0, fault, guaranteed=guaranteed, confidence=share)
+            self._raise(i, 'bias', 0.0, fault, guaranteed=not sensor.unproved, confidence=share)
         self._mark_suspects()
         return Stage.END
 
