@@ -315,10 +315,19 @@ def _spin(node: ManagedNode, stop: StopRequest) -> int:
     node.stopping()
     _drain(node, executor)
     if node.lockstep and node._of_setup:  # unconfigured, it has no outputs
-        for publisher in node.outputs():
-            # A reader that lags behind still needs this process to send again.
-            publisher.wait_for_all_acked(Duration(seconds=2.0 * PATIENCE))
+        wait_for_readers(node.outputs())
     return node.exit_code
+
+
+def wait_for_readers(publishers: Iterable[Publisher]) -> None:
+    """Wait while readers that lag behind still need this process to send again.
+
+    One that has died never answers: together all publishers wait no longer than one would.
+    """
+    limit = time.monotonic() + 2.0 * PATIENCE
+    for publisher in publishers:
+        left = max(limit - time.monotonic(), 0.0)
+        publisher.wait_for_all_acked(Duration(seconds=left))
 
 
 def _drain(node: ManagedNode, executor: Executor) -> None:

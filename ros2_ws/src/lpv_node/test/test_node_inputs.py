@@ -15,6 +15,7 @@ from rcl_interfaces.msg import ParameterType, ParameterValue
 from rclpy.parameter import Parameter
 
 from lpv import ConfigError, Gains
+from lpv.core.support.limits import PATIENCE
 from lpv.core.support.options import Entry
 from lpv.core.support.resources import bringup_file
 from lpv.core.support.timestamps import set_stamp, to_nanoseconds
@@ -199,3 +200,16 @@ def test_given_a_node_in_lockstep_when_stopped_before_it_is_configured_then_the_
     node.destroy_node()
     rclpy.shutdown()
     assert code == 0
+
+
+def test_given_readers_that_died_when_told_to_stop_then_the_node_ends_before_it_is_killed(
+    monkeypatch,
+):
+    clock = [0.0]
+
+    def wait(duration):
+        clock[0] += duration.nanoseconds * 1e-9
+
+    monkeypatch.setattr(managed.time, 'monotonic', lambda: clock[0])
+    managed.wait_for_readers(4 * [SimpleNamespace(wait_for_all_acked=wait)])
+    assert clock[0] == 2.0 * PATIENCE
