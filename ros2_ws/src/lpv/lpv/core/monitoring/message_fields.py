@@ -12,6 +12,7 @@ import numpy as np
 from lpv.core.monitoring.sample_loop import UNWATCHED
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.serial_arm.diagnosis.alarms import Alarm, Mode, SensorState
+from lpv.core.serial_arm.diagnosis.estimator import HORIZON
 from lpv.core.serial_arm.diagnosis.healthy_set import Guarantee
 from lpv.core.support.timestamps import NANOSECONDS
 
@@ -141,7 +142,8 @@ class Report:
         if stated.model_error is None:
             return 'none stated: the arm file has no uncertainty.model_error'
         if not self.is_guaranteed:
-            return 'none of offsets for 10 s after other loads, pushes or faults that change'
+            causes = 'other loads, pushes or faults that change'
+            return f'none of offsets for {HORIZON:g} s after {causes}'
         return (
             f'healthy arms with masses and inertias within {stated.model_error:.3g}, friction '
             f'within {stated.friction:.3g}, payload up to {stated.largest_payload:g} kg'

@@ -471,20 +471,26 @@ class OffsetEstimator:
         """
         largest = STRAIGHT * self.balance.scale
         near = self.balance.reference + np.clip(self._step(), -largest, largest)
-        left = self._linearise_at(near, blocks)
-        if other is not None and self._linearise_at(other, blocks) > left:
-            self._linearise_at(near, blocks)
+        self._linearise_at(near, blocks)
+        if other is not None:
+            left = self._unexplained()
+            self._linearise_at(other, blocks)
+            if self._unexplained() > left:
+                self._linearise_at(near, blocks)
         self._since[:] = 0
 
-    def _linearise_at(self, offsets: FloatArray, blocks: FloatArray) -> float:
-        """Evaluate the balances at these offsets; what is left, with the prior, in squares."""
+    def _linearise_at(self, offsets: FloatArray, blocks: FloatArray) -> None:
+        """Evaluate the balances of the horizon at these offsets, and estimate anew."""
         self.balance.reference[:] = offsets
         self.replace_last(blocks)
         self.call(solve_all, self.horizon)
-        level, at = self.level, recent(self.window, len(self))
-        rows = self.window.rows[at]
-        left = rows[:, :, 0] + rows[:, :, -len(level.mean) :] @ level.mean
-        return float((level.weights[at] * left**2).sum() + level.least @ level.mean**2)
+
+    def _unexplained(self) -> float:
+        """Weighted squares of what the estimate of levels leaves, and of its way from the prior."""
+        level, last = self.level, len(self)
+        self.call(set_residuals, self.window, level, last)
+        weights, left = level.weights[recent(self.window, last)], level.residual[:last]
+        return float((weights * left**2).sum() + level.least @ level.mean**2)
 
     def move_reference(self, joint: int, by: float) -> None:
         """Let an offset grow [rad], as the readings do by what is no longer taken out of them."""
