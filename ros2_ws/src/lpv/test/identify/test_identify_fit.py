@@ -30,7 +30,7 @@ from lpv.identify.model.prior import parameter_map
 from lpv.identify.model.rigid_body import joint_torques
 from lpv.identify.motions import plan_excitation, random_trajectory
 from lpv.identify.recordings.filters import low_pass
-from lpv.identify.recordings.motion import split
+from lpv.identify.recordings.motion import find_bandwidths, split
 from lpv.identify.recordings.recording import clean, read_recording
 from lpv.identify.results.report import write_report
 from lpv.identify.results.summary import DRIVES, FIGURES, SENSORS, cells, remarks
@@ -396,6 +396,14 @@ def test_given_few_samples_or_no_motion_then_it_is_said(arm, recording, motion, 
     found = identify(arm, [simulated(arm, 8, motion=rest)])
     assert 'one does not move' in ' '.join(found.warnings)
     assert np.isfinite(found.arm.parameter_vector()).all()
+
+
+def test_given_a_reading_that_never_changes_when_split_then_bands_are_those_of_others(recording):
+    held = recording.position.copy()
+    held[:, 0] = 0.0
+    bands = find_bandwidths(split(replace(recording, position=held)))
+    assert bands.position < 10.0
+    assert np.isfinite(find_bandwidths(split(replace(recording, position=0.0 * held))).position)
 
 
 def test_given_axes_that_hardly_miss_each_other_when_fitted_then_joints_are_driven(arm, simulated):

@@ -171,10 +171,10 @@ def _spectrum(signal: np.ndarray, step: float) -> tuple[np.ndarray, np.ndarray]:
 
 def _noise_corner(signal: np.ndarray, step: float) -> float:
     """Highest frequency, over all joints, below which the signal stands out of white noise."""
-    frequency, power = _spectrum(signal, step)
+    frequency, power = _spectrum(signal[:, np.ptp(signal, axis=0) > 0.0], step)
     buried = power[3:] < 10.0 * np.median(power[frequency > 0.3 / step], axis=0)
     corners = np.where(buried.any(axis=0), frequency[3 + buried.argmax(axis=0)], frequency[-1])
-    return float(corners.max())
+    return float(corners.max(initial=0.0))  # readings that never change say nothing
 
 
 def _content(rates: np.ndarray, step: float) -> float:
