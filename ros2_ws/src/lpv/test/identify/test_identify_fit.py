@@ -273,6 +273,17 @@ def test_given_a_prismatic_joint_when_identified_then_forces_fit(arm, simulated)
     assert found.arm.joints[0].friction.coulomb == pytest.approx(10.0, rel=0.15)
 
 
+def test_given_a_lift_and_efforts_in_another_unit_then_its_weight_hides_nothing(arm, simulated):
+    arm = with_joints(arm, 0, type='prismatic', limits=JointLimits(-1.0, 1.0, 1.0, 500.0))
+    one = simulated(arm)
+    one = replace(one, effort=0.1 * one.effort)
+    (mistake,) = find_mistakes(arm, [one])
+    assert 'efforts are no torques in N m' in mistake.text
+    workshop = Workshop(arm, [one])
+    workshop.check_scale(workshop.fit())
+    assert 'links are 0.1' in ' '.join(workshop.warnings)
+
+
 def identified(folder, urdf):
     arm = read_urdf_chain(DATA / folder / urdf)
     return identify(arm, [read_recording(DATA / folder / 'exciting.db3', arm.joint_names)])

@@ -60,8 +60,9 @@ def _link_torques(rows: Sequence[Rows], parameters: np.ndarray) -> np.ndarray:
 
 
 def link_sizes(rows: Sequence[Rows], parameters: np.ndarray) -> np.ndarray:
-    """RMS of the links' torques of each joint, shape (n,) [N m]."""
-    return np.sqrt(np.mean(_link_torques(rows, parameters) ** 2, axis=0))
+    """Standard deviation of the links' torques of each joint, shape (n,) [N m]."""
+    # Not their mean, as a lift's weight: an offset may stand for it.
+    return np.std(_link_torques(rows, parameters), axis=0)
 
 
 def _start(rows: Sequence[Rows], prior: Prior) -> tuple[np.ndarray, np.ndarray]:

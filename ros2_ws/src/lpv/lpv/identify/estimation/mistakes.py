@@ -267,8 +267,9 @@ class _Judge:
             rounds=4, share=self._share, least=least, solve=partial(solve_normal, positive=passive),
         )  # fmt: skip
         beta, off = solution[: self._size], solution - prior.mean
-        # Single parameters may be far off, hardly the torques of the whole arm.
-        sizes = [float(np.linalg.norm(predicted(regressor, b))) + 1e-9 for b in (beta, self._mean)]
+        # Single parameters may be far off, hardly the torques of the whole arm, offsets apart.
+        torques = (predicted(regressor, b) for b in (beta, self._mean))
+        sizes = [float(np.linalg.norm(np.std(t, axis=0))) + 1e-9 for t in torques]
         common = float(np.log(sizes[0] / sizes[1])) / _SCALE
         loss = 0.5 * np.minimum(np.abs(residual / scale), HUBER) ** 2  # contacts decide nothing
         logs = np.sum((-np.log(scale / setup.gain) - loss) * setup.moves, axis=1)
