@@ -88,7 +88,10 @@ def _write(folder: Path, arm: SerialArm, source: str) -> int:
         path.write_text(text, encoding='utf-8')
     print(f'written: {", ".join(map(str, (file, *texts)))}')
     print(f'joints: {", ".join(arm.joint_names)}')
-    for joint in arm.joints:
+    ends = [*(joint.position for joint in arm.joints[1:]), arm.tip]
+    for joint, end in zip(arm.joints, ends):
+        if joint.link.mass == 0.0 and any(end):  # those of ball joints have no length
+            print(f'warning: the link of {joint.name} has no mass', file=sys.stderr)
         if not joint.link.is_physical:
             print(f'warning: no body has the inertia of the link of {joint.name}', file=sys.stderr)
     try:

@@ -26,7 +26,7 @@ from lpv.core.serial_arm.urdf_chain import read_urdf_chain
 from lpv.core.support.config import Section, read_yaml, write_yaml
 from lpv.core.support.entries import plain_entries, read_entries
 from lpv.core.support.errors import ConfigError, each, kept, raise_all
-from lpv.core.support.limits import FAR
+from lpv.core.support.limits import FAR, TURN
 
 _OLD_FORM = (
     '{} is of the form of two-link arms that the next version does not read; write it anew: '
@@ -220,7 +220,7 @@ def _joint(section: Section, base: SerialJoint | None) -> SerialJoint:
     # What places the frame comes from one source: a mix of both would fit neither.
     if base is None or any(key in section for key in ('position', 'orientation', 'axis')):
         given['position'] = lambda: section.vector('position', 3, None, -FAR, FAR)
-        given['orientation'] = lambda: section.vector('orientation', 3, (0.0, 0.0, 0.0), -FAR, FAR)
+        given['orientation'] = lambda: section.vector('orientation', 3, (0.0,) * 3, -TURN, TURN)
         given['axis'] = lambda: _axis(section)
     if base is None or 'link' in section:
         given['link'] = lambda: read_entries(LinkInertia, section.section('link'))

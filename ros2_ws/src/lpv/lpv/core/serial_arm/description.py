@@ -12,7 +12,7 @@ import numpy as np
 
 from lpv.core.support.config import Section, sha256_of
 from lpv.core.support.entries import entry, part
-from lpv.core.support.limits import FAR, LARGEST
+from lpv.core.support.limits import FAR, LARGEST, TURN
 
 INERTIA_KEYS = ('xx', 'xy', 'yy', 'xz', 'yz', 'zz')
 """Names of a link's moments and products of inertia in files."""
@@ -346,7 +346,7 @@ class SerialArm:
     locked: tuple[tuple[str, float], ...] = ()
     # roll, pitch, yaw of the base in a frame whose z-axis points up [rad]
     base_orientation: tuple[float, float, float] = entry(
-        'vector', 3, default=(0.0, 0.0, 0.0), low=-2.0 * math.pi, high=2.0 * math.pi
+        'vector', 3, default=(0.0, 0.0, 0.0), low=-TURN, high=TURN
     )
     gravity: float = entry('number', default=9.81, low=0.0, high=100.0)  # g [m/s2]
     # reference point of a payload in the last joint's frame [m]

@@ -13,7 +13,7 @@ from xml.parsers import expat
 
 from lpv.core.support.config import MAX_BYTES, read_at_most
 from lpv.core.support.errors import ConfigError
-from lpv.core.support.limits import LARGEST, MAX_DEPTH
+from lpv.core.support.limits import LARGEST, MAX_DEPTH, TURN
 
 MAX_LINKS = 1000
 """Most links of a URDF, the depth that Python allows: the parser recurses once for each."""
@@ -176,9 +176,10 @@ def _check_numbers(element: ElementTree.Element, path: Path) -> None:
                     continue
                 if key in _LIMITS and value > LARGEST:
                     continue  # simulators' 1e16 stands for none
-                if not value <= LARGEST:
+                most = TURN if key == 'rpy' else LARGEST
+                if not value <= most:
                     raise _error(
-                        path, f'{name}: {key} must be at most {LARGEST:g} in magnitude, got {word}'
+                        path, f'{name}: {key} must be at most {most:g} in magnitude, got {word}'
                     )
         for tag, key in _NOT_NEGATIVE:
             if part.tag == tag and part.get(key, '').strip().startswith('-'):

@@ -16,7 +16,7 @@ from lpv.core.simulation.faults import Fault
 from lpv.core.support.config import Section, read_yaml
 from lpv.core.support.entries import entry, read_entries
 from lpv.core.support.errors import ConfigError, each, kept, raise_all
-from lpv.core.support.limits import FAR, MOST_ENTRIES
+from lpv.core.support.limits import FAR, MOST_ENTRIES, TURN
 
 PAPER_PLANTS = ('nonlinear_without_coriolis', 'lpv')
 """The arm of eq. (4) and the LPV plant (25), for planar arms."""
@@ -210,7 +210,7 @@ def _waypoints(path: Section) -> tuple[tuple[float, ...], Waypoints]:
         waypoints = PoseWaypoints(
             each(lambda p: tuple(p.vector('position', 3, *limits)), sections),
             tuple(path.numbers('start', MAX_JOINTS, *limits[1:])),
-            tuple(tuple(p.vector('rpy', 3, *limits)) for p in sections if 'rpy' in p),
+            tuple(tuple(p.vector('rpy', 3, None, -TURN, TURN)) for p in sections if 'rpy' in p),
         )
         if 0 < len(waypoints.orientations) < len(sections):
             raise path.error('waypoints', 'must have rpy all, or none of them')

@@ -14,6 +14,8 @@ SMALL = 0.05
 """Default of diagnosis.minimum_threshold: below are no faults, and no motions [rad]."""
 FAR = 1e3
 """Range of coordinates, angles and gears in files [m], [rad], [1]."""
+TURN = 6.3
+"""A full turn, rounded up: larger angles of orientations are in degrees [rad]."""
 LARGEST = 1e9
 """Largest magnitude of a number from elsewhere [SI units]: larger floats are further apart than
 steps of an encoder of 24 bits."""

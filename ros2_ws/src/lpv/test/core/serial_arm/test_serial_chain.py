@@ -226,6 +226,7 @@ HOSTILE = [
     ("'one': value must be", URDF.replace('<mass value="3"/>', '<mass value="1e308"/>')),
     ("'one': mass must not be", URDF.replace('<mass value="3"/>', '<mass value="-3"/>')),
     *(("'b': xyz must be", URDF.replace('xyz="0.4 0', f'xyz="{x} 0')) for x in (1e200, 'nan')),
+    ("'b': rpy must be at most 6.3", URDF.replace('xyz="0.4 0 0"', 'xyz="0.4 0 0" rpy="90 0 0"')),
 ]  # fmt: skip
 """Why a URDF is refused, and what is in it."""
 
