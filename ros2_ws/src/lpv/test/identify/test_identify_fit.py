@@ -431,6 +431,10 @@ def test_given_bad_samples_or_stamps_when_cleaned_then_few_are_mended_many_refus
     effort[100:110] = np.nan
     mended = cleaned(recording, effort=effort)
     assert len(mended.time) == len(recording.time) - 10 and 'not finite' in mended.warnings[0]
+    zeros = recording.position.copy()
+    zeros[700:720] = 0.0
+    mended = cleaned(recording, position=zeros)
+    assert len(mended.time) == len(recording.time) - 20 and '20 samples of z' in mended.warnings[0]
     effort[::2] = np.nan
     pytest.raises(IdentificationError, cleaned, recording, effort=effort).match('only 50 %')
     with pytest.raises(IdentificationError, match='has 1 samples of the joints'):

@@ -14,6 +14,7 @@ from lpv.bag.rosbag.reading import open_bag
 from lpv.bag.run.csv_import import ColumnMap, opened, read_samples
 from lpv.bag.run.measurements import MeasurementReader
 from lpv.bag.run.record import find_topic
+from lpv.core.monitoring.plausibility import Driver, find_unread
 from lpv.core.serial_arm.chain import MAX_JOINTS
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.serial_arm.turns import Turns
@@ -135,15 +136,19 @@ def clean(
             f'{source}: has {what}; torques or currents of the motors must be recorded, too'
         )
     recorded = (position, effort) if velocity is None else (position, effort, velocity)
-    valid = np.all([_usable(values) for values in recorded], axis=0)
+    zeros = _zeros_alone(stamps[0], position, velocity, effort)
+    if zeros.any():
+        text = 'samples of zeros alone, as of a driver that reads no hardware, are left out'
+        warnings.append(f'{np.sum(zeros)} {text}')
+    valid = ~zeros & np.all([_usable(values) for values in recorded], axis=0)
     if valid.mean() < MIN_SHARE_VALID:
         raise IdentificationError(
             f'{source}: only {100 * valid.mean():.0f} % of the samples are '
             f'complete, the others hold values that are not finite or beyond {LARGEST:g}'
         )
-    if not valid.all():
+    if not (zeros | valid).all():
         text = f'samples with values that are not finite or beyond {LARGEST:g} are left out'
-        warnings.append(f'{np.sum(~valid)} {text}')
+        warnings.append(f'{np.sum(~(zeros | valid))} {text}')
     kept = _once(stamps[0], *recorded)
     if not kept.all():
         warnings.append(f'{np.sum(~kept)} samples that are there again are left out')
@@ -179,6 +184,19 @@ def continued(arm: SerialArm, one: Recording) -> Recording:
 def _usable(values: np.ndarray) -> np.ndarray:
     """Which samples are numbers that a sensor may give, for all joints; shape (n,)."""
     return (np.abs(values) <= LARGEST).all(1)
+
+
+def _zeros_alone(
+    time: np.ndarray, position: np.ndarray, velocity: np.ndarray | None, effort: np.ndarray
+) -> np.ndarray:
+    """Which samples are none of the arm, as the observer judges them, but of its driver."""
+    count, joints = position.shape
+    rates = np.full_like(position, np.nan) if velocity is None else velocity
+    samples, unread = np.stack([position, rates, effort], axis=1), np.empty(count, bool)
+    driver = Driver(np.full(joints, np.nan), np.zeros(1, np.int64))
+    stamps = np.round(NANOSECONDS * time).astype(np.int64)
+    find_unread(stamps, samples, np.full(joints, SMALL), driver, unread)
+    return unread & (position == 0.0).all(axis=1)
 
 
 def _once(stamps: np.ndarray, *signals: np.ndarray) -> np.ndarray:
