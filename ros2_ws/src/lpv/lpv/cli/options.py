@@ -158,7 +158,7 @@ csv                    file with a header line and one sample a line
 --columns MAP!         column map: a YAML file, or the name of a shipped one (real_arm)
 --out BAG!             bag to create
 --topic=/joint_states  topic
---delimiter=,          between cells
+--delimiter CHARACTER  between cells (comma, semicolon or tab, as the header has them)
 """,
     'replay': f"""run observer and diagnosis offline on a bag
 bag                rosbag2 directory, MCAP or sqlite3 file

@@ -64,9 +64,10 @@ def stamps(messages):
     delimiter=st.sampled_from(',;\t'), end=st.sampled_from(['\n', '\r\n', '\n\n']),
     outside=st.sampled_from([('', ''), ('\ufeff', '\n'), ('\ufeff', ''), ('', '\r\n')]),
     without=st.sets(st.sampled_from(NAMES[3:])), slides=st.sampled_from(['', 'm', 'mm']),
+    told=st.booleans(),
 )  # fmt: skip
 def test_given_any_recording_when_imported_then_every_number_is_where_it_belongs(
-    convert, rows, start, unit, angle, names, delimiter, end, outside, without, slides
+    convert, rows, start, unit, angle, names, delimiter, end, outside, without, slides, told
 ):
     times = sorted(rows)
     shift = 0 if start is None else round(start * SECOND) - times[0]
@@ -82,7 +83,7 @@ def test_given_any_recording_when_imported_then_every_number_is_where_it_belongs
     columns = re.sub(rf', \w+: ({"|".join(without)})\b' if without else '^$', '', columns)
     columns = columns.replace('q2', f'q2, unit: {slides}' if slides else 'q2')
     text = outside[0] + end.join(lines) + outside[1]
-    warnings, messages, _ = convert(text, columns, delimiter=delimiter)
+    warnings, messages, _ = convert(text, columns, delimiter=delimiter if told else None)
     assert (warnings, stamps(messages)) == ([], [time + shift for time in times])
     turns, slid = ANGLE_UNITS[angle], UNITS[slides or angle]
     factor = np.array([turns, slid, turns, slid, 1.0, 1.0])

@@ -324,8 +324,8 @@ def test_given_a_file_when_read_then_joints_are_found_or_named(tmp_path, recordi
     pytest.raises(IdentificationError, read_recording, without, NAMES).match('has no efforts')
     # Columns of a CSV file are guessed.
     columns = np.column_stack([recording.time, recording.position, recording.effort])
-    for header in ('time,q0,q1,q2,tau0,tau1,tau2', 'time,q1,q2,q3,tau1,tau2,tau3'):
-        np.savetxt(tmp_path / 'a.csv', columns, delimiter=',', header=header, comments='')
+    for header in ('time;q0;q1;q2;tau0;tau1;tau2', 'time,q1,q2,q3,tau1,tau2,tau3'):
+        np.savetxt(tmp_path / 'a.csv', columns, delimiter=header[4], header=header, comments='')
         read = read_recording(tmp_path / 'a.csv', NAMES)
         assert read.velocity is None and read.effort == pytest.approx(recording.effort)
     with pytest.raises(IdentificationError, match='numbered 1, 2, 3, but the arm has 2 joints'):

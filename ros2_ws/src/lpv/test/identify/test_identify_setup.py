@@ -240,9 +240,9 @@ def test_given_what_does_not_fit_then_it_is_said_before_the_fit(arm, tmp_path, r
     slide = replace(arm, joints=(replace(arm.joints[0], type='prismatic'),))
     said = refusal(run, '--columns', columns, arm=slide)
     assert 'columns.yaml: joints.one.unit: must be m' in said
-    run.write_text('time;q1;tau1\n0.0;0.1;0.2\n')
+    run.write_text('time q1 tau1\n0.0 0.1 0.2\n')
     said = refusal(run)
-    assert 'it has time;q1;tau1; give a column map' in said
+    assert 'it has time q1 tau1; give a column map' in said
     example = tmp_path / 'example.yaml'  # of a map, as the error shows it
     example.write_text(said[said.index('such as {') + 8 :])
     assert load_column_map(example).joints == {'shoulder': ('q1', '', 'i1')}

@@ -14,7 +14,7 @@ from typing import Any
 from lpv.bag.rosbag.writing import BagWriter
 from lpv.core.support.config import Section, read_yaml
 from lpv.core.support.errors import LpvError
-from lpv.core.support.limits import MOST_TEXT
+from lpv.core.support.limits import MOST_BYTES, MOST_TEXT
 from lpv.core.support.timestamps import LAST_STAMP
 
 TIME_UNITS = {'s': 1_000_000_000, 'ms': 1_000_000, 'us': 1000, 'ns': 1}
@@ -73,7 +73,7 @@ def import_csv(
     columns: ColumnMap,
     out: str | Path,
     topic: str = '/joint_states',
-    delimiter: str = ',',
+    delimiter: str | None = None,
 ) -> tuple[int, list[str]]:
     """Write a bag of JointState from a CSV file, else CsvError; messages, and warnings."""
     if not re.fullmatch(r'(/[A-Za-z_]\w*)+', topic, re.ASCII):
@@ -90,17 +90,23 @@ def import_csv(
 
 
 @contextmanager
-def opened(source: str | Path, delimiter: str = ',') -> Iterator[Any]:
-    """The `csv.reader` of a file; CsvError, from whatever uses it inside, if it cannot be read."""
+def opened(source: str | Path, delimiter: str | None = None) -> Iterator[Any]:
+    """The `csv.reader` of a file; CsvError, from whatever uses it inside, if it cannot be read.
+
+    Without a delimiter, that of comma, semicolon and tab which is most often in the first line.
+    """
     try:
         with open(source, newline='', encoding='utf-8-sig') as file:
+            if delimiter is None:
+                delimiter = max(',;\t', key=file.readline(MOST_BYTES).count)
+                file.seek(0)
             yield csv.reader(file, delimiter=delimiter)
     except (OSError, UnicodeDecodeError, csv.Error, TypeError) as error:
         raise CsvError(f'{source}: cannot be read ({error})') from error
 
 
 def read_samples(
-    source: str | Path, columns: ColumnMap, delimiter: str, warnings: list[str]
+    source: str | Path, columns: ColumnMap, delimiter: str | None, warnings: list[str]
 ) -> Iterator[tuple[Any, ...]]:
     """Stamps, positions, rates and efforts, one by one: a long recording is never in memory."""
     unit, scales = TIME_UNITS[columns.time_unit], [UNITS[columns.units[j]] for j in columns.joints]

@@ -297,7 +297,7 @@ def _read_csv(
     found |= {f'column {name}': (name, '', '') for name in others}
     units = {f'column {name}': columns.units[joint] for name, joint in zip(others, joints)}
     chosen = replace(columns, start=_START, joints=found, units=columns.units | units)
-    for stamp, *vectors in read_samples(path, chosen, ',', notes):
+    for stamp, *vectors in read_samples(path, chosen, None, notes):
         stamps.append(stamp)
         for part, vector in zip(parts, vectors):
             part.extend(vector)
