@@ -341,6 +341,15 @@ def test_given_mistakes_then_the_most_evident_one_is_named(rough_arm, recording,
     assert first.kind == kind and re.search(text, first.text)
 
 
+@pytest.mark.parametrize('names', [('two',), ('one', 'two', 'three')])
+def test_given_joints_without_limits_in_degrees_then_it_is_said(rough_arm, recording, names):
+    arm = with_joint_values(rough_arm, limits=[JointLimits()] * 3)
+    scale = np.where(np.isin(arm.joint_names, names), 180.0 / np.pi, 1.0)
+    change = changed(lambda x: scale * x, 'position', 'velocity')
+    (first,) = mistakes.find_mistakes(arm, [change(recording)])
+    assert f'positions of {", ".join(names)} are in another unit: degrees?' in first.text
+
+
 @pytest.mark.parametrize(('load', 'offset', 'said'), [
     (0.0, 0.06, r'two .* rad in b'), pytest.param(0.0, 0.0, None, marks=SLOW),
     pytest.param(1.0, 0.0, r'by about \+1(\.\d)? kg in b', marks=SLOW),

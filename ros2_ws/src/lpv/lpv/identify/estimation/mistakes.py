@@ -317,8 +317,20 @@ class _Judge:
         yield 'names', self._swaps(setup)
         yield 'delay', self._delays(setup)
         yield 'unit', self._units(setup)
+        yield 'angle', self._degrees(setup)
         for j in range(len(self._arm.joints)):
             yield 'reading', self._readings(j, setup, now)
+
+    def _degrees(self, setup: _Setup) -> _Tried:
+        """Joints without limits in degrees, one or all; `other_unit` finds others."""
+        endless = [joint.is_endless for joint in self._arm.joints]
+        for chosen in (endless, *np.diag(endless)):
+            if not any(chosen):
+                continue
+            names = [name for name, turns in zip(self._arm.joint_names, chosen) if turns]
+            scale = np.where(chosen, np.pi / 180.0, 1.0)
+            other = self._moved(setup, scale * setup.position, scale * setup.velocity)
+            yield f'positions of {", ".join(names)} are in another unit: degrees?', other
 
     def _readings(self, j: int, setup: _Setup, now: _Evidence) -> _Tried:
         """Readings of a joint that are off in proportion to something, or turned round."""
