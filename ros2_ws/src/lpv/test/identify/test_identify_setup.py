@@ -253,6 +253,16 @@ def test_given_what_does_not_fit_then_it_is_said_before_the_fit(arm, tmp_path, r
     assert new.is_dir()
 
 
+def test_given_a_point_mass_that_fits_worse_than_none_then_it_is_no_tool(
+    arm, recording, tmp_path, refusal
+):
+    signals = recording.position, recording.velocity, recording.effort
+    swapped = [signal[:, ::-1] for signal in signals]
+    bag = write_measurements(tmp_path / 'bag', arm.joint_names, recording.time, *swapped)
+    said = refusal(bag, '--payload')
+    assert 'warning: signals of one and three are swapped' in said and 'shows no tool: mass' in said
+
+
 @pytest.mark.parametrize(('options', 'refused'), [
     ('--calibrate --report folder', 'report'), ('--payload --test other.csv', 'test'),
     ('--calibrate --refit', 'refit'), ('--calibrate --known-mass 2', 'known-mass'),

@@ -17,6 +17,7 @@ from lpv.core.serial_arm.arm_file import save_arm
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.support.errors import ConfigError
 from lpv.core.support.resources import bringup_file
+from lpv.identify.errors import IdentificationError
 from lpv.identify.estimation.gains import rescaled
 from lpv.identify.estimation.identification import STEPS, identify
 from lpv.identify.estimation.mistakes import find_mistakes
@@ -137,7 +138,11 @@ def _arm(arguments: argparse.Namespace) -> SerialArm:
 def _payload(
     arm: SerialArm, recordings: list[Recording], known_mass: float | None
 ) -> tuple[SerialArm, str]:
-    found = identify_payload(arm, recordings)
+    try:
+        found = identify_payload(arm, recordings)
+    except IdentificationError:
+        _warn(mistake.text for mistake in find_mistakes(arm, recordings))
+        raise
     x, y, z = found.center
     spread = ' '.join(f'{2 * s:.4f}' for s in found.center_sigma)
     print(f'mass    {found.mass:8.3f} kg    +- {2 * found.mass_sigma:.3f}')
@@ -145,9 +150,10 @@ def _payload(
         f'centre  {x:8.4f} {y:.4f} {z:.4f} m +- {spread}    in the frame of {arm.joint_names[-1]}'
     )
     print(f'torque residual {found.rms_before:.3f} -> {found.rms_after:.3f} N m RMS')
-    _warn(found.warnings)
+    loaded = with_payload(arm, found)
+    _warn((*found.warnings, *(m.text for m in find_mistakes(loaded, recordings))))
     if known_mass is None:
-        return with_payload(arm, found), 'arm with its tool'
+        return loaded, 'arm with its tool'
     factor = known_mass / found.mass
     return rescaled(arm, factor), f'arm with its scale corrected by {factor:.4f}'
 

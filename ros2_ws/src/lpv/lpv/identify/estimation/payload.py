@@ -55,10 +55,12 @@ def identify_payload(arm: SerialArm, recordings: Sequence[Recording]) -> Payload
     lengths = [len(one) for _, one in parts]
     variances = np.diag(estimate_covariance(*data, lengths, counts))
     sigma = np.sqrt(np.maximum(variances, np.diag(inverse)))  # that of white errors, at least
-    if not mass > 2.0 * sigma[0]:
+    before, after = (float(np.sqrt(np.mean(error**2))) for error in (rest, residual))
+    if not (mass > 2.0 * sigma[0] and after < before):
+        found = f'mass {mass:.4g} kg within {2 * sigma[0]:.4g} kg'
         raise IdentificationError(
-            f'the recording shows no tool: mass {mass:.3f} kg within '
-            f'{2 * sigma[0]:.3f} kg; move the joints that carry its weight'
+            f'the recording shows no tool: {found}, torque residual {before:.4g} -> {after:.4g} '
+            'N m RMS; move the joints that carry its weight'
         )
     spread = np.sqrt(sigma[1:4] ** 2 + (center * sigma[0]) ** 2) / mass
     warnings = [
@@ -66,7 +68,6 @@ def identify_payload(arm: SerialArm, recordings: Sequence[Recording]) -> Payload
         for axis, s in zip('xyz', spread)
         if s > 0.1
     ]
-    before, after = (float(np.sqrt(np.mean(error**2))) for error in (rest, residual))
     return Payload(
         mass, tuple(center.tolist()), float(sigma[0]), tuple(spread.tolist()), before, after,
         tuple(warnings),
