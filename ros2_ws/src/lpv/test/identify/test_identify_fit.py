@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from bags import write_measurements
 from fault_injection import DATA, with_joints
+from places import ROOT
 from scipy import stats
 from simulated_recordings import is_physical
 from ur10e_twin import recording as recording_of_twin
@@ -85,6 +86,14 @@ def test_given_links_or_friction_when_checked_or_rescaled_then_torques_are_as_th
     assert found.uncertainty.torque_error_speed == pytest.approx((0.0, 0.13, 0.26))
     assert found.uncertainty.torque_error_time == 0.5
     assert found.joints[2].rotor_coupling == pytest.approx(0.013)
+
+
+def test_given_a_fit_with_which_a_solver_went_round_in_circles_then_bodies_are_found():
+    fit = np.load(ROOT / 'tests' / 'data' / 'hard_fit.npz')  # of an arm of four joints on a lift
+    names = 'root', 'target', 'mean', 'sigma', 'lower', 'upper'
+    *fitted, lower, upper = (fit[name].astype(float) for name in names)
+    found = assembly._nearest_consistent(*fitted, 4, (lower, upper))
+    assert all(is_physical(LinkInertia.from_vector(link)) for link in found[:40].reshape(4, 10))
 
 
 def test_given_friction_that_falls_too_far_then_the_arm_can_be_read(arm, simulated, tmp_path):

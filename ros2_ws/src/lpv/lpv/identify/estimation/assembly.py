@@ -81,6 +81,7 @@ def _nearest_consistent(
     ]
     settings = clarabel.DefaultSettings()
     settings.verbose = False
+    settings.static_regularization_constant = 1e-10  # 1e-8 may go round in circles, and is slower
     programme = sparse.csc_matrix(cost), np.zeros(count + rows), sparse.csc_matrix(left), right
     solution = clarabel.DefaultSolver(*programme, cones, settings).solve()
     if str(solution.status) not in ('Solved', 'AlmostSolved'):
