@@ -161,6 +161,7 @@ def _read_model(
         joint = model.joints[model.getJointId(name)]
         if joint.nq == 1:
             reference[joint.idx_q] = angle
+            _check_held(name, urdf.kinds[name], model, joint.idx_q, angle)
         elif angle != 0.0:
             raise ConfigError('locked', f'{urdf.kinds[name]} joint {name!r} must be at 0')
     last, ends = _ends(model, held)
@@ -187,6 +188,21 @@ def _read_model(
             model, [model.getJointId(name) for name in held], reference
         )
     return model, name, held, ends, _triple(place.translation)
+
+
+def _check_held(name: str, kind: str, model: 'pinocchio.Model', index: int, angle: float) -> None:
+    """ConfigError for a joint that is held at degrees or millimetres."""
+    ends = _endless(model.lowerPositionLimit[index]), _endless(model.upperPositionLimit[index])
+    kind = 'prismatic' if kind == 'prismatic' else 'revolute'
+    nowhere, body = (0.0, 0.0, 0.0), LinkInertia.from_vector(np.zeros(10))
+    limits = JointLimits(*ends)
+    one = SerialJoint(name, nowhere, nowhere, nowhere, body, limits=limits, type=kind)
+    if abs(angle) > one.farthest:
+        unit = 'millimetres' if one.is_prismatic else 'degrees'
+        raise ConfigError(
+            'locked',
+            f'joint {name!r} is held at {angle:g} {one.units[0]}, beyond its limits: {unit}?',
+        )
 
 
 def _is_one_of_several(model: 'pinocchio.Model', last: int, held: Mapping[str, float]) -> bool:

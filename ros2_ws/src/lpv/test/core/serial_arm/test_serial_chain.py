@@ -80,6 +80,12 @@ def test_gripper_is_locked_where_it_was_told_and_axes_point_anywhere(small, tmp_
         load_arm(tmp_path / 'arm.yaml')
 
 
+@pytest.mark.parametrize(('held', 'unit'), [({'finger': 20.0}, 'mill'), ({'a': 90.0}, 'degrees')])
+def test_given_joints_held_in_degrees_or_mm_when_read_then_they_are_refused(small, held, unit):
+    with pytest.raises(ConfigError, match=rf'is held at .* beyond its limits: {unit}'):
+        small(locked=LOCKED | held)
+
+
 def test_friction_of_the_urdf_counts_where_the_file_of_the_arm_says_none(small, tmp_path):
     joint = '<joint name="a" type="revolute">'
     found = small(joint, f'{joint}<dynamics damping="0.5" friction="2"/>')
