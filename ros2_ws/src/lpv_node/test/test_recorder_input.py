@@ -92,6 +92,20 @@ def test_given_a_publisher_with_history_beside_one_without_when_heard_then_it_is
     assert senders.names() == list(range(5))
 
 
+def test_given_a_remapped_recorder_when_all_is_recorded_then_topics_are_those_of_the_graph(senders):
+    given, sender = ['--ros-args', '-r', f'{TOPIC}:=/elsewhere'], senders.add(True, False)
+    node = rclpy.create_node('remapped', context=senders.node.context, cli_args=given)
+    recorded = RecorderInput(node, Selection(frozenset()), message_text)
+    try:
+        found = []
+        assert senders.client.wait(lambda: found.extend(recorded.search()) or found)
+        senders.client.wait(lambda: found.extend(recorded.search()), 0.3)
+        assert TOPIC in [name for name, *_ in found] and sender.get_subscription_count() == 1
+    finally:
+        recorded.close()
+        node.destroy_node()
+
+
 def test_given_messages_without_a_sender_when_one_offers_less_then_it_is_told(senders, monkeypatch):
     """As in distributions before Kilted."""
     monkeypatch.setattr(recorder_input, '_TELLS_PUBLISHERS', False)

@@ -96,7 +96,7 @@ class RecorderInput:
     """Subscriptions that are polled, not served by an executor.
 
     An executor hands over one message at a time; a poll takes thousands.  Hence a node of its own,
-    that no executor has.
+    that no executor has, and without remappings: what it looks for are topics of the graph.
     """
 
     def __init__(
@@ -131,7 +131,7 @@ class RecorderInput:
         """Subscribe to wanted topics that have a publisher now."""
         found = []
         self._searches += 1
-        for name in self._selection.chosen(dict(self._node.get_topic_names_and_types())):
+        for name in self._selection.chosen(dict(self._own.get_topic_names_and_types())):
             try:
                 if self._is_due(name):
                     found += self._look(name)
@@ -142,13 +142,13 @@ class RecorderInput:
     def _is_due(self, name: str) -> bool:
         """Whether the publishers of a topic are to be looked at: they changed, or may have."""
         before = self._publishers.get(name)
-        self._publishers[name] = self._node.count_publishers(name)
+        self._publishers[name] = self._own.count_publishers(name)
         return self._publishers[name] != before or not self._searches % _RECHECK
 
     def _look(self, name: str) -> list[tuple[str, str, Qos]]:
         """Subscribe to the publishers of a topic that nothing is heard of; the topic if new."""
         own = self._node.get_name(), self._node.get_namespace()
-        there = self._node.get_publishers_info_by_topic(name)
+        there = self._own.get_publishers_info_by_topic(name)
         publishers = [p for p in there if (p.node_name, p.node_namespace) != own]
         if name in self._topics:
             self._hear_all(name, self._topics[name], publishers)
