@@ -1,5 +1,6 @@
 import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -76,6 +77,7 @@ def test_given_a_graph_when_a_fault_is_injected_then_the_alarm_is_on_topic_and_i
 
 @pytest.mark.parametrize(('kind', 'words', 'told'), [
     (UioNode, '', 'arm_file: must be set'), (UioNode, '-p arm_file:=/nowhere.yaml', 'nowhere.yaml'),
+    (UioNode, '-p arm_file:=~/nowhere.yaml', f"'{Path.home()}/nowhere.yaml' is neither"),
     (UioNode, f'-p arm_file:={BRINGUP / "arms" / "real_arm.yaml"}', 'for another arm'),
     (UioNode, f'{ARM} -p torque_source:=guess', 'torque_source'),
     (UioNode, f'{ARM} -p diagnosis.sigma:=5.0', f'{UNKNOWN}hours_between_false_alarms, '),

@@ -1,6 +1,7 @@
 """Parameters: declared once with description, range and read-only flag; services for them."""
 
 import array
+import os
 from collections.abc import Iterable, Sequence
 from typing import Any, TypeVar
 
@@ -78,18 +79,18 @@ def declare(node: Node, declared: Iterable[Entry], read_only: bool = True) -> No
     node.add_on_set_parameters_callback(check)
 
 
-def required_text(node: Node, name: str, reason: str = 'must be set') -> str:
-    """Value of a string parameter; ConfigError with the reason if it is empty."""
+def required_path(node: Node, name: str, reason: str = 'must be set') -> str:
+    """Path in a string parameter; ConfigError with the reason if it is empty."""
     value = node.get_parameter(name).value
     if not value:
         raise ConfigError(name, reason, node.get_name())
-    return value
+    return os.path.expanduser(value)  # no shell does behind :=
 
 
 def named_file(node: Node, name: str, kind: str) -> str:
     """Path in a parameter, or of the shipped file of a kind that it names; ConfigError without."""
     reason = f'must be set, for launch files as {name}:=...'
-    return str(bringup_file(kind, required_text(node, name, reason)))
+    return str(bringup_file(kind, required_path(node, name, reason)))
 
 
 FROM_GAINS = '0: as the gains allow'

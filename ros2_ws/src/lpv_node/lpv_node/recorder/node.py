@@ -26,7 +26,7 @@ from lpv.core.support.limits import AT_ONCE
 from lpv.core.support.options import Entry
 from lpv.core.support.timestamps import NANOSECONDS
 from lpv_node.managed import ManagedNode
-from lpv_node.parameters import named_file, required_text, table
+from lpv_node.parameters import named_file, required_path, table
 from lpv_node.recorder.input import MOST, Heard, RecorderInput, Selection
 from lpv_node.recorder.stamp_sorter import WINDOW, StampSorter
 from lpv_node.status import diagnostics
@@ -50,6 +50,8 @@ scenario_file FILE   scenario file of this run, copied into the bag as scenario.
     Entry('exclude', 'patterns of topics that "all" leaves out, as of a shell, against full names',
           ['/rosout', '/parameter_events']),
 )  # fmt: skip
+_RUN_FILES = ((GAINS_NAME, 'gains_file', 'gains'), (SCENARIO_NAME, 'scenario_file', 'scenarios'))
+"""Of each file that is copied into a bag the copy, the parameter, and the kind of shipped ones."""
 _POLL = 0.1 * AT_ONCE
 """Between two looks at what has come, ten in what seems immediate [s]."""
 _SPARE = PRESETS['none'][1]
@@ -95,10 +97,12 @@ class RecorderNode(ManagedNode):
             raise ConfigError('topics', 'names no topic, and "all" is not set', self.get_name())
         self._selection = Selection(frozenset() if value['all'] else names, tuple(value['exclude']))
         self._flush_period = value['flush_period']
-        scenario = value['scenario_file'] and named_file(self, 'scenario_file', 'scenarios')
-        run_files = {GAINS_NAME: value['gains_file'], SCENARIO_NAME: scenario}
-        files = {name: read_run_file(file, name) for name, file in run_files.items() if file}
-        output = required_text(self, 'output')
+        files = {
+            copy: read_run_file(named_file(self, name, kind), copy)
+            for copy, name, kind in _RUN_FILES
+            if value[name]
+        }
+        output = required_path(self, 'output')
         path = free_path(output)
         if str(path) != str(Path(output)):
             self.get_logger().warning(f'{output} exists already: recording into {path}')
