@@ -38,5 +38,10 @@ def initialise() -> None:
 
 
 def refused(error: Exception) -> ConfigError:
-    """What rcl says of arguments, in one line."""
-    return ConfigError('--ros-args', ' '.join(str(error).split()).partition(', at /')[0])
+    """What rcl says of arguments."""
+    return ConfigError('--ros-args', one_line(error))
+
+
+def one_line(error: Exception) -> str:
+    """What rcl says, without the place in its sources."""
+    return ' '.join(str(error).split()).partition(', at /')[0]

@@ -27,7 +27,7 @@ from lpv.core.support.signals import StopRequest
 from lpv_node.arguments import initialise, refused
 from lpv_node.parameters import CheckedParameterService, declare, table
 
-_RCLError = rclpy_implementation.RCLError
+RCLError = rclpy_implementation.RCLError
 VIEWER = 'view'
 """Name of the live view's node: the graph does not wait for it, nor start because of it."""
 
@@ -286,7 +286,7 @@ def run_node(node_class: Callable[[], ManagedNode]) -> int:
         initialise()
         try:
             node = node_class()
-        except _RCLError as error:  # of a name or namespace that nodes cannot have
+        except RCLError as error:  # of a name or namespace that nodes cannot have
             raise refused(error) from error
         code = _spin(node, stop)
     except (KeyboardInterrupt, SystemExit):  # told to stop while it started

@@ -25,7 +25,8 @@ from lpv.core.support.errors import ConfigError
 from lpv.core.support.limits import AT_ONCE
 from lpv.core.support.options import Entry
 from lpv.core.support.timestamps import NANOSECONDS
-from lpv_node.managed import ManagedNode
+from lpv_node.arguments import one_line
+from lpv_node.managed import ManagedNode, RCLError
 from lpv_node.parameters import named_file, required_path, table
 from lpv_node.recorder.input import MOST, Heard, RecorderInput, Selection
 from lpv_node.recorder.stamp_sorter import WINDOW, StampSorter
@@ -92,7 +93,7 @@ class RecorderNode(ManagedNode):
         """Open the bag."""
         self._forget()
         value = {spec.name: self.get_parameter(spec.name).value for spec in SPECS}
-        names = frozenset(self.resolve_topic_name(name) for name in value['topics'])
+        names = frozenset(map(self._topic, value['topics']))
         if not names and not value['all']:
             raise ConfigError('topics', 'names no topic, and "all" is not set', self.get_name())
         self._selection = Selection(frozenset() if value['all'] else names, tuple(value['exclude']))
@@ -113,6 +114,13 @@ class RecorderNode(ManagedNode):
         )
         for name, content in files.items():
             copy_file(content, path, name)
+
+    def _topic(self, name: str) -> str:
+        """Full name of a topic; ConfigError for what cannot be one."""
+        try:
+            return self.resolve_topic_name(name)
+        except RCLError as error:
+            raise ConfigError('topics', f'{name!r}: {one_line(error)}', self.get_name()) from error
 
     def listen(self) -> None:
         """Open another bag if that of `setup` is closed: the node was active before."""
