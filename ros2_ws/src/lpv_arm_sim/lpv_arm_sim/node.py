@@ -243,9 +243,13 @@ class SimulatorNode(ManagedNode):
 
     def _tick(self) -> None:
         """Make the steps that are due; only while it is braked may the arm leave some out."""
+        if not self.has_time():
+            return
         late = self.get_clock().now().nanoseconds - self._stamp
-        if late < -NANOSECONDS:  # nobody takes less for a clock that was set back
+        # Nobody takes less for a clock that was set back; or /clock has told its first time.
+        if late < -NANOSECONDS or not self._first:
             self._set_clock()
+            return
         behind = late // self._period
         while behind > 0 and not self.finished:
             if self._reason is not None and behind > _CATCH_UP:

@@ -93,6 +93,19 @@ def test_given_a_simulator_that_is_not_active_when_faults_are_injected_then_none
     assert drives.clear('').cleared == 0
 
 
+def test_given_no_clock_yet_when_simulated_time_is_used_then_no_sample_is_left_out(monkeypatch):
+    files = {'arm_file': 'paper', 'scenario_file': 'two_faults'}
+    with node_of(SimulatorNode, use_sim_time='true', **files) as node:
+        states, now = Output(JointState), SimpleNamespace(nanoseconds=0)
+        node._joint_states_out, node._truth_out = states, Output(GroundTruth)
+        monkeypatch.setattr(node, 'get_clock', lambda: SimpleNamespace(now=lambda: now))
+        node.begin()
+        for now.nanoseconds in (0, 0, 10**18, 10**18 + node._period):
+            node._tick()
+        assert [to_nanoseconds(one.header.stamp) for one in states.sent] == [10**18 + node._period]
+        assert node._slips == 0
+
+
 def test_given_an_answer_when_repeated_then_each_sample_is_left_by_one_step(drives):
     first = drives.good()
     drives.send(first)

@@ -215,6 +215,14 @@ class ManagedNode(LifecycleNode):
         told = isinstance(clock, ROSClock) and clock.ros_time_is_active and clock.now().nanoseconds
         return told or self._steady.now().nanoseconds  # also where nobody publishes /clock
 
+    def has_time(self) -> bool:
+        """Whether the node's clock tells a time; warns while it waits for the first one."""
+        if not self.get_parameter('use_sim_time').value or self.get_clock().now().nanoseconds:
+            return True
+        text = 'use_sim_time is set, and /clock has told no time yet: waiting for it'
+        self.get_logger().warning(text, throttle_duration_sec=5.0, skip_first=True)
+        return False
+
     def steady_timer(self, period: float, callback: Callable[[], None]) -> Timer:
         """Create a timer with a period [s] on the steady clock, which runs whatever /clock does."""
         return self.create_timer(period, self._while_active(callback), clock=self._steady)

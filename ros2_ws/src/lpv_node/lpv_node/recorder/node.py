@@ -167,11 +167,8 @@ class RecorderNode(ManagedNode):
 
     def _poll_in_time(self) -> None:
         """Take what has come, once there is a time to log it with; queues hold it until then."""
-        needs_clock = not self.lockstep and self.get_parameter('use_sim_time').value
-        if not needs_clock or self.get_clock().now().nanoseconds:
-            return self._poll()
-        text = 'use_sim_time is set, and /clock has told no time yet: nothing is written until then'
-        self.get_logger().warning(text, throttle_duration_sec=5.0, skip_first=True)
+        if self.lockstep or self.has_time():
+            self._poll()
 
     def _poll(self) -> None:
         found = self._input.poll() if self._input is not None else []
