@@ -78,6 +78,7 @@ _REFUSALS = {
 }
 _OTHER_CLOCK = round(2.0 * PATIENCE * NANOSECONDS)
 """Stamps that differ from this machine's time by more are of another clock [ns]."""
+_UNKNOWN_LATENCY = 'not watched: stamps are of another clock'
 
 
 class TrackerNode(ManagedNode):
@@ -295,12 +296,10 @@ class TrackerNode(ManagedNode):
 
     def _judge(self, message: StateEstimate, stamp: int, now: int) -> StopReason:
         """Why an estimate must not be followed."""
-        self._latency = 0
-        if not self.lockstep and abs(now - stamp) < _OTHER_CLOCK:
-            self._latency = now - stamp
+        self._latency = 0 if self.lockstep else now - stamp
         reason = self._watchdog.check_estimate(
             stamp,
-            self._latency,
+            self._latency if self._is_of_our_clock() else 0,
             message.mode,
             message.trustworthy,
             self._velocity,
@@ -312,6 +311,9 @@ class TrackerNode(ManagedNode):
         # A node that was held up itself has seen no silence: the drives have braked meanwhile.
         silent = self._previous is not None and self._is_silence(stamp - self._previous)
         return StopReason.SILENCE if silent and reason is StopReason.NONE else reason
+
+    def _is_of_our_clock(self) -> bool:
+        return abs(self._latency) < _OTHER_CLOCK
 
     def _has_lost_a_correction(self) -> bool:
         """Whether a correction from before a silence is gone: the observer was restarted.
@@ -404,10 +406,11 @@ class TrackerNode(ManagedNode):
         self._status.report(stamp, *status, self._status_values)
 
     def _status_values(self) -> dict[str, object]:
+        latency = f'{self._latency * 1e-6:.1f}' if self._is_of_our_clock() else _UNKNOWN_LATENCY
         return {
             'safe stops': self._stops,
             'last safe stop': self._last_stop,
-            'latency [ms]': f'{self._latency * 1e-6:.1f}',
+            'latency [ms]': latency,
             'tolerated constant latency [ms]': f'{self._tolerated * 1e3:.1f}',
             'certificate of the loop': self._certificate,
             **self._refusals.counts,

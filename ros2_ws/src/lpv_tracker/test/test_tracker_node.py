@@ -161,6 +161,15 @@ def test_given_clocks_set_back_when_estimates_end_then_the_arm_is_stopped(node, 
 
 
 @IN_REAL_TIME
+@pytest.mark.parametrize(('ahead', 'said'), [(0.0, '12.0'), (60.0, 'of another clock')])
+def test_given_stamps_of_another_clock_then_it_says_that_latency_is_not_watched(node, ahead, said):
+    now = 10**9 + STEP + 12_000_000 + round(ahead * 1e9)
+    node.get_clock = lambda: SimpleNamespace(now=lambda: SimpleNamespace(nanoseconds=now))
+    assert answers(node, (1,)) == [False]
+    assert said in node._status_values()['latency [ms]']
+
+
+@IN_REAL_TIME
 def test_given_no_estimates_when_none_came_yet_or_they_end_then_it_is_said(node, monkeypatch):
     told = node._status.publisher = Output(DiagnosticArray)
     node._check_silence()
