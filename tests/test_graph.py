@@ -92,6 +92,7 @@ def test_given_a_graph_when_a_fault_is_injected_then_the_alarm_is_on_topic_and_i
     (SimulatorNode, ARM, 'must be set, for launch files as scenario_file:=...'),
     (RecorderNode, '-p output:=/proc/nothing/bag', 'cannot be written'),
     (RecorderNode, f'-p output:=bag -p gains_file:={PAPER["arm"]}', 'not a gains file'),
+    (RecorderNode, '-p output:=/', 'output: is the root of all folders'),
     (RecorderNode, '-p output:=bag -p topics:=["/a//b"]', "topics: '/a//b': failed to resolve"),
     (ViewNode, f'{ARM} -p port:=70000', 'port'), (ViewNode, '', 'arm_file: must be set'),
     (ViewNode, f'{SCENARIO}/no/x.yaml', 'neither a file nor shipped'),

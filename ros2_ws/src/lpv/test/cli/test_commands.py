@@ -284,6 +284,7 @@ def test_given_what_a_simulator_adds_when_initialised_then_it_is_left_out(init):
     ((('ixx="0.1"', 'ixx="0.9"', 2),), '.*no body has the inertia of the link of shoulder'),
     ((('"one"><inertial><origin xyz="0.1 0 0.2"/><mass value="2"/>',
        '"one"><inertial><mass value="0"/>'),), 'the link of shoulder has no mass'),
+    ((('upper="1"', 'upper="150"', 1),), 'shoulder may go to 150 rad: degrees, or mm'),
     ((), 'joints a, c turn the same body in some poses'),  # between which links have no mass
 ])  # fmt: skip
 def test_given_an_odd_urdf_when_initialised_then_it_is_warned(tmp_path, call, changes, told):

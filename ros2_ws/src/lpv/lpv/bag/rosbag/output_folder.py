@@ -20,6 +20,8 @@ SCENARIO_NAME = 'scenario.yaml'
 def free_path(path: str | Path) -> Path:
     """The path itself, or the first of ``path_1``, ``path_2``, ... that does not exist."""
     path, whole = Path(path), Path(os.path.abspath(path))
+    if not whole.name:
+        raise ConfigError('output', 'is the root of all folders', str(path))
     others = (whole.with_name(f'{path.resolve().name}_{number}') for number in count(1))
     return path if not os.path.lexists(path) else next(p for p in others if not os.path.lexists(p))
 

@@ -39,6 +39,8 @@ _SLOW = 0.8
 _HEAVY = 0.5
 """Share of a torque limit that the weight may need in the middle of the ranges; else there are
 lighter poses to move about."""
+_FARTHEST = 20.0 * math.pi
+"""Limits that are warned of: no cable turns ten times, and 63 m are no arm's [rad], [m]."""
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -92,6 +94,10 @@ def _write(folder: Path, arm: SerialArm, source: str) -> int:
     for joint, end in zip(arm.joints, ends):
         if joint.link.mass == 0.0 and any(end):  # those of ball joints have no length
             print(f'warning: the link of {joint.name} has no mass', file=sys.stderr)
+        farthest = max(abs(joint.limits.lower), abs(joint.limits.upper))
+        if _FARTHEST < farthest < math.inf:
+            text = f'{joint.name} may go to {farthest:g} {joint.units[0]}: degrees, or mm?'
+            print(f'warning: {text}', file=sys.stderr)
         if not joint.link.is_physical:
             print(f'warning: no body has the inertia of the link of {joint.name}', file=sys.stderr)
     try:

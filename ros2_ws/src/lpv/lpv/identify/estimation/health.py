@@ -29,7 +29,7 @@ def unhealthy(arm: SerialArm, recordings: Sequence[Recording], fits: bool = True
         ]
         first = {key: (time, text) for time, key, text in sorted(said, reverse=True)}
         texts += [
-            f'{one.source}, {time:.1f} s: {text}; is the recording healthy?'
+            f'{one.source}, {max(0.0, time):.1f} s: {text}; is the recording healthy?'
             for time, text in sorted(first.values())
         ]
     return texts
