@@ -231,7 +231,10 @@ def test_given_currents_of_an_arm_that_pauses_when_looked_at_then_rests_do_not_d
 
 
 def test_given_a_tool_when_its_payload_is_identified_then_mass_and_centre_fit(arm, simulated):
-    found = payload.identify_payload(arm, [simulated(payload.with_payload(arm, TOOL), 4)])
+    loaded = [simulated(payload.with_payload(arm, TOOL), 4)]
+    found = payload.identify_payload(arm, loaded)
+    assert payload.unknown_load(arm, loaded)[0].startswith('a load of 0.8 kg at the tip')
+    assert payload.unknown_load(arm, [simulated(arm, 4)]) == []
     assert found.mass == pytest.approx(0.8, abs=4 * found.mass_sigma)
     assert found.center[0] == pytest.approx(0.25, abs=0.02)
     assert found.rms_after < 0.5 * found.rms_before

@@ -21,7 +21,7 @@ from lpv.identify.errors import IdentificationError
 from lpv.identify.estimation.gains import rescaled
 from lpv.identify.estimation.identification import STEPS, identify
 from lpv.identify.estimation.mistakes import find_mistakes
-from lpv.identify.estimation.payload import identify_payload, with_payload
+from lpv.identify.estimation.payload import identify_payload, unknown_load, with_payload
 from lpv.identify.estimation.torque_error import calibrate
 from lpv.identify.recordings.recording import Recording, continued, read_recording
 from lpv.identify.results.summary import calibration_table, table
@@ -64,7 +64,8 @@ def run(arguments: argparse.Namespace) -> int:
     elif arguments.calibrate:
         found = calibrate(arm, recordings)
         print(calibration_table(found))
-        _warn((*found.warnings, *(m.text for m in find_mistakes(arm, recordings))))
+        mistakes = [one.text for one in find_mistakes(arm, recordings)]
+        _warn((*found.warnings, *(mistakes or unknown_load(arm, recordings))))
         arm = found.arm
     else:
         tests = [read(path) for path in arguments.test]

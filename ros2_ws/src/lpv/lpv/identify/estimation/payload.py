@@ -29,6 +29,7 @@ class Payload:
     center_sigma: tuple[float, ...]  # standard deviations [m]
     rms_before: float  # torque residual without the tool [N m]
     rms_after: float  # with it [N m]
+    explained: float = 0.0  # share of the residual's variance
     warnings: tuple[str, ...] = ()
 
 
@@ -68,10 +69,23 @@ def identify_payload(arm: SerialArm, recordings: Sequence[Recording]) -> Payload
         for axis, s in zip('xyz', spread)
         if s > 0.1
     ]
+    explained = 1.0 - float(np.mean(residual**2) / np.mean(np.var(rest, axis=0)))
     return Payload(
         mass, tuple(center.tolist()), float(sigma[0]), tuple(spread.tolist()), before, after,
-        tuple(warnings),
+        explained, tuple(warnings),
     )  # fmt: skip
+
+
+def unknown_load(arm: SerialArm, recordings: Sequence[Recording]) -> list[str]:
+    """Warning of a load that explains most of what the model of the arm does not."""
+    try:
+        found = identify_payload(arm, recordings)
+    except IdentificationError:
+        return []
+    if found.explained < 0.5:
+        return []
+    share = f'{found.explained:.0%} of what torques are off'
+    return [f'a load of {found.mass:.2g} kg at the tip explains {share}: give --payload']
 
 
 def _balance(arm: SerialArm, segment: Segment) -> tuple[np.ndarray, np.ndarray]:
