@@ -256,12 +256,9 @@ def test_given_a_joint_that_begins_to_shake_then_its_reading_does_not_jump_but_b
         assert (found == STEP).sum() == (step > 0.0)
 
 
-def noisy_readings(seed, count=20000):
+def noisy_readings(seed):
     """Two joints in motion, their readings with noise of 1 mrad; every 2 ms."""
-    noise, time = (
-        np.random.default_rng(seed).normal(size=(2, count)),
-        0.002 * np.arange(1, count + 1),
-    )
+    noise, time = np.random.default_rng(seed).normal(size=(2, 20000)), 0.002 * np.arange(1, 20001)
     return time, (0.5 * np.sin([[3.0], [2.0]] * time) + 1e-3 * noise).T
 
 
