@@ -59,7 +59,7 @@ class UndecidedJumps:
         for end in self.ends.values():
             end.settle(self._readings.estimator)
         for scaled in self.scaled.values():
-            scaled.settle(self._readings.estimator)
+            scaled.settle(self._bank)
 
     def scale_errors(self, now: float, sure: float) -> Iterator[tuple[ScaleOfJump, float]]:
         """Jumps that are named scale errors; they are open no more.
